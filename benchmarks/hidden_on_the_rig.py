@@ -8,9 +8,9 @@ with one thing about it altered where it happens: the ∫dx/A that test.toml sta
 naming. The loss in reversed flow acts without the lag on all rigs: `reverse_flow_branch` is never
 false.
 
-Columns: records; refused; what was altered in a firm set; a firm name of its kind; said that it
-cannot be told; neither; records with a wrong firm name, and which; share in the set of those that
-can be told; median processor seconds.
+Columns: records; refused; what was altered in a firm set; a firm name of its kind; said that
+the record does not decide; neither; records with a wrong firm name, and which; share in the set
+of those that are decided; median processor seconds.
 
     python benchmarks/hidden_on_the_rig.py --machines 24 --seed S [--jobs N] [--json FILE]
     python benchmarks/hidden_on_the_rig.py --records "FOLDER/m*"
@@ -138,7 +138,7 @@ def answered(job: Job) -> Row:
 
 def table(rows: Sequence[Row]) -> list[str]:
     """Return one line for each source and each thing that was altered."""
-    heads = ("n", "refused", "in set", "kin", "untold", "missed", "wrong", "in set / told", "s")
+    heads = ("n", "refused", "in set", "kin", "open", "missed", "wrong", "in set / rest", "s")
     widths = (4, 9, 8, 5, 8, 8, 7, 15, 6)
     out = [" " * 34 + "".join(f"{h:>{w}s}" for h, w in zip(heads, widths, strict=True))]
     groups = dict.fromkeys((row["source"][:1], str(row["hidden"])) for row in rows)
@@ -148,13 +148,13 @@ def table(rows: Sequence[Row]) -> list[str]:
         counted = Counter(" = ".join(members) for row in said for members in row["wrong"])
         in_set, kin, wrong = (sum(bool(r[k]) for r in said) for k in ("in_set", "kin", "wrong"))
         untold = sum(row["untold"] and not row["kin"] for row in said)
-        told = len(said) - untold
+        rest = len(said) - untold
         cells = (
             len(group),
             len(group) - len(said),
-            *(("", "", "", "") if hidden == "None" else (in_set, kin, untold, told - kin)),
+            *(("", "", "", "") if hidden == "None" else (in_set, kin, untold, rest - kin)),
             wrong,
-            "" if hidden == "None" or not told else f"{100 * in_set / told:.0f} %",
+            "" if hidden == "None" or not rest else f"{100 * in_set / rest:.0f} %",
             f"{np.median([row['cpu_s'] for row in said]):.0f}" if said else "",
         )
         label = f"{group[0]['source'][:12]:13s}{'untouched' if hidden == 'None' else hidden:21s}"

@@ -75,7 +75,7 @@ class MissingEffect:
 
 @dataclass(frozen=True)
 class Untold:
-    """An effect of which these records cannot tell whether it is there.
+    """An effect about which these records do not decide.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Diagnosis(Displayed):
     remarks : tuple of str
         What a reader should know beside it.
     untold : tuple of Untold
-        On whole runs, effects of which these records cannot tell.
+        On whole runs, effects about which these records do not decide.
     absent : tuple of Absent
         On whole runs, effects that would have been seen.
     """

@@ -117,7 +117,7 @@ def diagnose_whole_runs(
         rounds.append(Round(bench, _noise(bench), candidates, (), (), winner, NOTHING_LEFT))
         if winner is None:
             break
-        sets[winner.name] = rivals(winner, candidates, nulls)
+        sets[winner.name] = rivals(bench, winner, candidates, nulls)
         bench = replace(bench, fit=winner.fit)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     diagnosis = concluded(

@@ -16,6 +16,7 @@ import numpy as np
 
 from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.branches import TAUS_S
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect
@@ -44,8 +45,9 @@ __all__ = [
 ]
 
 N_TWINS = 20
-# Standard deviations of the null beyond which an effect is there.
-FIRM = 3.0
+# Standard deviations of the null beyond which an effect is there: three, a dozen names paid for.
+# With two more one of a size that matters is seen but in one record of fifty.
+FIRM, MORE = 3.7, 2.0
 # What matters: a clock skew, a wrong duct, a drift that moves τ by as much as its interval.
 MATTERS = {
     "transport_delay": 0.005,
@@ -66,7 +68,8 @@ INERTIA, INERTIA_FACTOR, INERTIA_TWINS = "flow_inertia", 1.5, 8
 SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
 # Explaining this share of what the best explains is as good.
 RIVAL_SHARE = 0.8
-OFFSET = ("bias_drift", "sensitivity_drift")
+# Far from its reference a transducer loses an offset with its sensitivity.
+SENSITIVITY = "sensitivity_drift"
 # Cycles are left out every so many at a time.
 FOLDS = 4
 # A drift draws τ far away: a search begins here too, in the middle of what compressors have.
@@ -89,6 +92,8 @@ class Null:
         Size of that number from which on the effect matters.
     unit : str
         Of the number.
+    by_inertia : float
+        How far a wrong ∫dx/A moves the number.
     """
 
     share: float
@@ -97,6 +102,7 @@ class Null:
     number_sd: float
     matters: float
     unit: str
+    by_inertia: float = 0.0
 
     @property
     def seen_from(self) -> float:
@@ -106,13 +112,18 @@ class Null:
     @property
     def can_be_told(self) -> bool:
         """Whether an effect of a size that matters is seen."""
-        return self.seen_from <= self.matters
+        return (FIRM + MORE) * self.number_sd <= self.matters
 
     def beyond(self, share: float, number: float) -> bool:
         """Whether what an effect reads is beyond the null, and of a size that matters."""
         apart = abs(number - self.number)
         far = apart >= max(self.seen_from, 0.5 * self.matters)
         return far and share >= self.least_share
+
+    def is_of_inertia(self, number: float) -> bool:
+        """Whether a wrong ∫dx/A takes this number, too, or half as much."""
+        apart = number - self.number
+        return self.by_inertia * apart >= 0.5 * apart**2 and abs(self.by_inertia) >= self.seen_from
 
     @property
     def least_share(self) -> float:
@@ -283,11 +294,9 @@ def nulls_of(
     left_rms = float(np.mean(rms))
     varied = zip(*(one.varied() for one in readings), strict=True)
     over_specs = [read(others, effects) for others in varied]
-    inertia = [effect for effect in effects if effect.name == INERTIA]
     wrong = [
-        read([one.with_inertia(INERTIA_FACTOR) for one in others], inertia)
+        read([one.with_inertia(INERTIA_FACTOR) for one in others], effects)
         for others in measured[:INERTIA_TWINS]
-        if inertia
     ]
     by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, wrong) for e in effects}
     return Nulls(by_effect, left_rms)
@@ -314,10 +323,11 @@ def _null(
     if len(read) < 2:
         return Null(np.inf, 0.0, 0.0, np.inf, matters, unit)
     mean, sd = read.mean(axis=0), read.std(axis=0, ddof=1)
-    if effect.name == INERTIA:
-        matters = abs(float(np.mean([one[INERTIA][1] for one in wrong])) - mean[1])
-    sd_of_specs = float(np.std(varied)) if varied.size else 0.0
-    return Null(mean[0], sd[0], mean[1], float(np.hypot(sd[1], sd_of_specs)), matters, unit)
+    moved = [one[effect.name][1] for one in wrong if effect.name in one]
+    by_inertia = float(np.mean(moved)) - mean[1] if moved else 0.0
+    matters = abs(by_inertia) if effect.name == INERTIA else matters
+    both = float(np.hypot(sd[1], np.std(varied) if varied.size else 0.0))
+    return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia)
 
 
 def weighed(bench: Bench, effects: Sequence[Effect], nulls: Nulls) -> tuple[Candidate, ...]:
@@ -345,7 +355,10 @@ def weighed(bench: Bench, effects: Sequence[Effect], nulls: Nulls) -> tuple[Cand
             continue
         fit, null = fits[effect.name], nulls.by_effect.get(effect.name)
         share = 1.0 - fit.cost / bench.fit.cost
-        beyond = null is None or null.beyond(share, number_of(effect, fit, bench))
+        number = number_of(effect, fit, bench)
+        beyond = null is None or null.beyond(share, number)
+        # At an end of what is searched for τ it is no lag that was fitted.
+        beyond &= bool(TAUS_S[0] < fit.tau_s < TAUS_S[-1])
         errors = bench.errors(fit)
         added = fit.n_parameters - bench.fit.n_parameters
         searched = effect.searched * bench.n_names
@@ -378,12 +391,14 @@ def _excess(candidate: Candidate, nulls: Nulls) -> float:
 
 
 def rivals(
-    winner: Candidate, candidates: Sequence[Candidate], nulls: Nulls
+    bench: Bench, winner: Candidate, candidates: Sequence[Candidate], nulls: Nulls
 ) -> tuple[Candidate, ...]:
     """Return the winner and those that explain nearly as much beyond their null.
 
     Parameters
     ----------
+    bench : Bench
+        The model without them.
     winner : Candidate
         Accepted.
     candidates : sequence of Candidate
@@ -392,12 +407,12 @@ def rivals(
         What each reads of twins.
     """
     least = RIVAL_SHARE * _excess(winner, nulls)
+    null = nulls.by_effect.get(winner.name)
+    alike = {SENSITIVITY} if winner.name == "bias_drift" else set()
+    if null is not None and null.is_of_inertia(number_of(winner.added[0], winner.fit, bench)):
+        alike.add(INERTIA)
     others = [
-        c
-        for c in candidates
-        if c is not winner
-        # Far from its reference a transducer loses an offset with its sensitivity.
-        and (_excess(c, nulls) >= least or (winner.name, c.name) == OFFSET)
+        c for c in candidates if c is not winner and (_excess(c, nulls) >= least or c.name in alike)
     ]
     return (winner, *others)
 

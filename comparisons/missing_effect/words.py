@@ -200,7 +200,10 @@ def untold_words(d: Diagnosis) -> tuple[str, ...]:
     seen = (f"Not there, and would have been seen: {absent}.",) if absent else ()
     return (
         *seen,
-        *(f"Cannot be told: {u.effect}, {u.why}. To tell: {u.what_would_tell}." for u in d.untold),
+        *(
+            f"Not decided by these records: {u.effect}, {u.why}. It needs {u.what_would_tell}."
+            for u in d.untold
+        ),
     )
 
 
