@@ -37,6 +37,7 @@ from comparisons.missing_effect.whole_runs import (
     cycles_left_out,
     fitted,
     nulls_of,
+    number_of,
     plain_bench,
     rivals,
     rms_left,
@@ -133,7 +134,9 @@ def diagnose_whole_runs(
         gap=_gap(base, bench, averaged_noise(readings)),
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
-    firm = [i == 0 and _firm(sets[item.effect], nulls) for i, item in enumerate(diagnosis.missing)]
+    firm = [
+        i == 0 and _firm(sets[item.effect], base, nulls) for i, item in enumerate(diagnosis.missing)
+    ]
     missing = tuple(
         replace(item, provisional=item.provisional or not sure)
         for item, sure in zip(diagnosis.missing, firm, strict=True)
@@ -166,11 +169,13 @@ def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _firm(members: Sequence[Candidate], nulls: Nulls) -> bool:
-    """Return whether one of a set is beyond its null on a record that can tell of it."""
+def _firm(members: Sequence[Candidate], bench: Bench, nulls: Nulls) -> bool:
+    """Return whether one of a set is beyond its null on a record that decides about it."""
     by_effect = nulls.by_effect
     return any(
-        c.evidence.accepted and c.name in by_effect and by_effect[c.name].can_be_told
+        c.evidence.accepted
+        and c.name in by_effect
+        and by_effect[c.name].is_sure(number_of(c.added[0], c.fit, bench))
         for c in members
     )
 

@@ -38,6 +38,7 @@ __all__ = [
     "cycles_left_out",
     "fitted",
     "nulls_of",
+    "number_of",
     "plain_bench",
     "rivals",
     "rms_left",
@@ -119,6 +120,10 @@ class Null:
         apart = abs(number - self.number)
         far = apart >= max(self.seen_from, 0.5 * self.matters)
         return far and share >= self.least_share
+
+    def is_sure(self, number: float) -> bool:
+        """Whether a number stands beyond its null on a record that sees what matters."""
+        return self.seen_from <= max(self.matters, 0.5 * abs(number - self.number))
 
     def is_of_inertia(self, number: float) -> bool:
         """Whether a wrong ∫dx/A takes this number, too, or half as much."""
