@@ -25,8 +25,8 @@ from classic_ml.whole_record.rakes import RakeSignals, rake_signals_of
 from comparisons.rig import simulate, write_run
 
 CONSTANTS: tuple[tuple[ModuleType, str], ...] = (
-    (estimate, "AVERAGE_PERIODS"),
-    (estimate, "LONGEST_AVERAGE_S"),
+    (branches, "AVERAGE_PERIODS"),
+    (branches, "LONGEST_AVERAGE_S"),
     (branches, "START_S"),
     (branches, "LOSS_AVERAGE_S"),
     (branches, "HIGHER_HINGE"),

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.twin import Twin, twin_of
-from classic_ml.whole_record.branches import BranchFit, Specification, fit_branches
+from classic_ml.whole_record.branches import (
+    BranchFit,
+    Specification,
+    fit_branches,
+    specification,
+)
 from classic_ml.whole_record.interval import (
     Scatter,
     delay_of_exit,
@@ -32,10 +37,6 @@ N_TWINS = 20
 FEWEST_CYCLES = 6
 # Of τ: beyond it an answer says too little.
 LARGEST_SHARE = 0.12
-# The cells are gone before this average, so that it may be shorter than half their period, and must
-# be, or it mixes the pass into reversal with the pass out of it.
-AVERAGE_PERIODS = 0.4
-LONGEST_AVERAGE_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ def fit_whole_record(
         When the record has no rows to fit.
     """
     passes = passes_of(signals, window)
-    spec = _specification(signals, passes, degree)
+    spec = specification(signals, passes, degree)
     in_stall, levels = estimated_state(passes, spec)
     fit = fit_branches(passes, spec, in_stall)
     n_cycles = int(passes.cycle[-1]) + 1
@@ -205,19 +206,6 @@ def fit_whole_record(
         law_of_probes(signals, window, spec, levels, fit),
         delay_of_exit(signals, passes, spec, in_stall, fit),
     )
-
-
-def _specification(signals: RakeSignals, passes: Passes, degree: int) -> Specification:
-    """Take the average from the cells, and the lowest φ from the probes' law."""
-    average_s = min(AVERAGE_PERIODS * passes.period_s, LONGEST_AVERAGE_S)
-    # Eq 2 knows no flow below its offset: M_true jumps there from zero.
-    chain, machine = signals.chain, signals.chain.compressor
-    jump = max(abs(pair.offset) for pair in chain.of_plane(25))
-    sound_m_s = math.sqrt(
-        machine.gamma * machine.gas_constant_J_kg_K * float(np.median(signals.inlet_K[passes.row]))
-    )
-    lowest = jump * sound_m_s / chain.rotor_velocity_m_s
-    return Specification(average_s, lowest, 0.5 * average_s, degree=degree)
 
 
 def _fit_twin(

@@ -40,7 +40,7 @@ from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
-__all__ = ["Reading", "WholeRecordRun", "fit_whole_records", "has_rakes"]
+__all__ = ["Reading", "WholeRecordRun", "fit_whole_records", "has_rakes", "window_of"]
 
 # Two standard deviations, as of an interval of 95 %.
 APART = 2.0
@@ -175,7 +175,7 @@ def fit_whole_records(
         return _in_stall_alone(records, degree, until_s, why)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
-    windows = [_window(record, end) for record, end in zip(records, ends, strict=True)]
+    windows = [window_of(record, end) for record, end in zip(records, ends, strict=True)]
     try:
         fits = tuple(
             fit_whole_record(
@@ -221,7 +221,7 @@ def _in_stall_alone(
     )
 
 
-def _window(record: CoefficientSeries, until_s: float) -> slice:
+def window_of(record: CoefficientSeries, until_s: float = math.inf) -> slice:
     """Return the rows to stay in: those of a stated window, up to the time."""
     from_s, to_s = -math.inf, until_s
     for entry in record.history:

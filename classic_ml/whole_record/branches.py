@@ -17,6 +17,7 @@ import numpy as np
 
 from classic_ml.free_run import near
 from classic_ml.whole_record.passes import Passes
+from classic_ml.whole_record.rakes import RakeSignals
 from surge_core.lag import FirstOrderLag
 from surge_core.types import BoolArray, FloatArray
 
@@ -25,10 +26,12 @@ __all__ = [
     "Specification",
     "design",
     "fit_branches",
+    "has_loss",
     "least_error",
     "profile",
     "responses",
     "scored_rows",
+    "specification",
 ]
 
 TAUS_S = np.geomspace(0.004, 0.08, 31)
@@ -43,6 +46,10 @@ RANK = 1e-7
 NORMAL_RANK = 1e-12
 FEWEST_UNSTALLED = 20
 HIGHER_HINGE = 1.3
+# The cells are gone before this average, so that it may be shorter than half their period, and must
+# be, or it mixes the pass into reversal with the pass out of it.
+AVERAGE_PERIODS = 0.4
+LONGEST_AVERAGE_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -148,13 +155,34 @@ def design(
             above = state * np.maximum(phi - level, 0.0)
             columns += [above, above * speed, state * np.maximum(phi - HIGHER_HINGE * level, 0.0)]
     columns += moving
-    backward = passes.smooth(np.minimum(phi, 0.0), LOSS_AVERAGE_S)
-    if np.any(backward < 0.0):
+    if has_loss(passes):
         # With its derivative beside it the loss acts without the lag for any τ.
-        loss = state * backward**2
+        loss = state * _backward(passes) ** 2
         columns += [loss, np.gradient(loss) * passes.rows_of(START_S)]
     inputs = np.column_stack([passes.smooth(column, spec.average_s) for column in columns])
     return inputs, passes.smooth(passes.psi_p, spec.average_s)
+
+
+def has_loss(passes: Passes) -> bool:
+    """Return whether the last two inputs are the loss in reversed flow and its derivative."""
+    return bool(np.any(_backward(passes) < 0.0))
+
+
+def _backward(passes: Passes) -> FloatArray:
+    return passes.smooth(np.minimum(passes.phi, 0.0), LOSS_AVERAGE_S)
+
+
+def specification(signals: RakeSignals, passes: Passes, degree: int) -> Specification:
+    """Take the average from the cells, and the lowest φ from the probes' law."""
+    average_s = min(AVERAGE_PERIODS * passes.period_s, LONGEST_AVERAGE_S)
+    # Eq 2 knows no flow below its offset: M_true jumps there from zero.
+    chain, machine = signals.chain, signals.chain.compressor
+    jump = max(abs(pair.offset) for pair in chain.of_plane(25))
+    sound_m_s = math.sqrt(
+        machine.gamma * machine.gas_constant_J_kg_K * float(np.median(signals.inlet_K[passes.row]))
+    )
+    lowest = jump * sound_m_s / chain.rotor_velocity_m_s
+    return Specification(average_s, lowest, 0.5 * average_s, degree=degree)
 
 
 def profile(

@@ -25,6 +25,8 @@ LEVEL_AVERAGE_S, SLOPE_AVERAGE_S = 0.003, 0.006
 FEWEST_EPISODES = 3
 FEWEST_ROWS = 20
 TAUS_S = np.geomspace(0.007, 0.04, 9)
+# In place of these: ψ' has no say.
+NONE = np.zeros(0)
 NEARBY = np.array([0.8, 1.0, 1.25])
 GRID = 9
 LOWEST_RECOVERY, LOWEST_ENTRY = 0.06, 0.04
@@ -79,7 +81,9 @@ def state_by_levels(passes: Passes, levels: StallLevels) -> BoolArray:
     return state
 
 
-def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, StallLevels | None]:
+def estimated_state(
+    passes: Passes, spec: Specification, *, by_flow: bool = False
+) -> tuple[BoolArray, StallLevels | None]:
     """Estimate the levels over a grid, then by halving its steps.
 
     Parameters
@@ -88,6 +92,8 @@ def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, Sta
         The signals.
     spec : Specification
         What the fit takes for granted.
+    by_flow : bool
+        Whether the hub-minus-tip flow alone decides, where there is one.
 
     Returns
     -------
@@ -109,15 +115,21 @@ def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, Sta
     recovery = np.linspace(LOWEST_RECOVERY, max(0.95 * peak, 1.5 * LOWEST_RECOVERY), GRID)
     entry = np.linspace(LOWEST_ENTRY, max(0.98 * peak, 1.5 * LOWEST_RECOVERY), GRID)
     tried = [StallLevels(float(a), float(b)) for a, b in product(recovery, entry)]
-    best = min(tried, key=lambda levels: _misfit(passes, spec, levels))
+    taus_s = NONE if by_flow and passes.shift is not None else TAUS_S
+    best = min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
     steps = recovery[1] - recovery[0], entry[1] - entry[0]
     for halving in range(1, HALVINGS + 1):
-        best = _around(passes, spec, best, steps[0] / 2**halving, steps[1] / 2**halving)
+        best = _around(passes, spec, best, steps[0] / 2**halving, steps[1] / 2**halving, taus_s)
     return state_by_levels(passes, best), best
 
 
 def refined_state(
-    passes: Passes, spec: Specification, levels: StallLevels | None, near_s: float
+    passes: Passes,
+    spec: Specification,
+    levels: StallLevels | None,
+    near_s: float = math.nan,
+    *,
+    by_flow: bool = False,
 ) -> BoolArray:
     """Return the state of another record of the same machine, its levels searched nearby.
 
@@ -130,11 +142,14 @@ def refined_state(
     levels : StallLevels or None
         Of the first record.
     near_s : float
-        Its time constant, in seconds.
+        Its time constant, in seconds; not asked for by flow alone.
+    by_flow : bool
+        Whether the hub-minus-tip flow alone decides, where there is one.
     """
     if levels is None:
         return passes.in_stall
-    taus_s = near_s * NEARBY
+    taus_s = near_s * NEARBY if np.isfinite(near_s) else TAUS_S
+    taus_s = NONE if by_flow and passes.shift is not None else taus_s
     return state_by_levels(passes, _around(passes, spec, levels, 0.015, 0.03, taus_s))
 
 
@@ -144,7 +159,7 @@ def _around(
     at: StallLevels,
     step: float,
     entry_step: float,
-    taus_s: FloatArray = TAUS_S,
+    taus_s: FloatArray,
 ) -> StallLevels:
     moves = product((0.0, -1.0, 1.0), repeat=2)
     tried = [
@@ -153,19 +168,17 @@ def _around(
     return min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
 
 
-def _misfit(
-    passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray = TAUS_S
-) -> float:
-    """Return twice the negative log likelihood of ψ' and of the hub-minus-tip flow."""
+def _misfit(passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray) -> float:
+    """Return twice the negative log likelihood of ψ', given a τ, and of hub-minus-tip flow."""
     state = state_by_levels(passes, levels)
     if min(np.count_nonzero(state), np.count_nonzero(~state)) < FEWEST_ROWS:
         return math.inf
-    inputs, psi_p = design(passes, spec, state)
-    scored = scored_rows(passes, spec)
-    least = min(least_error(tau_s, passes, inputs, psi_p, scored) for tau_s in taus_s)
-    least = max(least, 1e-12)
-    length_s = passes.phi.size * passes.sample_period_s
-    total = length_s / INDEPENDENT_S * math.log(least)
+    length_s, total = passes.phi.size * passes.sample_period_s, 0.0
+    if taus_s.size:
+        inputs, psi_p = design(passes, spec, state)
+        scored = scored_rows(passes, spec)
+        least = min(least_error(tau_s, passes, inputs, psi_p, scored) for tau_s in taus_s)
+        total = length_s / INDEPENDENT_S * math.log(max(least, 1e-12))
     if passes.shift is not None:
         total += length_s / passes.period_s * math.log(_shift_error(passes, passes.shift, state))
     return total

@@ -35,7 +35,7 @@ HIGHEST_DEGREE, DEFAULT_DEGREE = 8, 2
 MOST_EFFECTS = 3
 DEFAULT_MODEL_EFFECTS, MOST_MODEL_EFFECTS = 4, 6
 # Arguments that only the diagnosis of a compressor knows, and only that of a user's own model.
-OF_COMPRESSOR = ("series", "degree", "base", "limits", "separate", "save")
+OF_COMPRESSOR = ("series", "degree", "base", "limits", "separate", "save", "no_twins")
 OF_MODEL = ("fit", "check")
 
 
@@ -49,7 +49,7 @@ def _check_options(given: argparse.Namespace) -> None:
     own = given.model is not None
     for name in OF_COMPRESSOR if own else OF_MODEL:
         if getattr(given, name):
-            where = "SERIES" if name == "series" else f"--{name}"
+            where = "SERIES" if name == "series" else f"--{name.replace('_', '-')}"
             raise InputError(
                 where,
                 expected=f"it only {'without' if own else 'with'} --model",
@@ -87,6 +87,7 @@ def _compressor(given: argparse.Namespace) -> list[str]:
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
     from comparisons.missing_effect.terminal import diagnosis_text
+    from comparisons.missing_effect.whole_runs import N_TWINS
     from comparisons.show.diagnose_report import diagnosis_report
 
     steps = 4 + (given.base == "sindy") + given.limits + given.separate
@@ -101,6 +102,8 @@ def _compressor(given: argparse.Namespace) -> list[str]:
             given.degree or DEFAULT_DEGREE,
             terms=terms,
             most_effects=given.max_effects or MOST_EFFECTS,
+            n_twins=0 if given.no_twins else N_TWINS,
+            progress=lambda twins: shown_over(twins, unit="twin", words="measuring twins"),
         )
         begin("looking where")
         before, why = _where(d, d.before)
@@ -245,6 +248,12 @@ COMMAND = Command(
             "--separate",
             action="store_true",
             help="say which further measurement would separate the names of an alias set",
+        ),
+        argument(
+            "--no-twins",
+            action="store_true",
+            help="do not measure twins of records from raw counts: quicker, but every name is "
+            "provisional",
         ),
         argument(
             "--max-effects",

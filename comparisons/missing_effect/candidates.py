@@ -175,20 +175,6 @@ class Bench:
             fit = self._with_own_state(fit)
         return fit
 
-    def without_added(self, fit: Fit) -> Fit:
-        """Return the model without what a candidate adds, fitted from where the candidate ended.
-
-        The errors have several lows. A fit that starts elsewhere may end in a lower one though
-        what it adds does nothing: what it wins must not be what the model wins alone.
-
-        Parameters
-        ----------
-        fit : Fit
-            Of the model with something added behind what it has.
-        """
-        start = fit.nonlinear[: self.fit.nonlinear.size]
-        return fit_structure(self.fit.structure, self.train, self.train_metric, [start])
-
     def _with_own_state(self, fit: Fit) -> Fit:
         data = self.train
         for _ in range(STATE_ROUNDS):

@@ -66,8 +66,7 @@ def concluded(
     """
     found, data = final.fit.structure.effects, final.data
     before = on_all_rows(base.fit, base)
-    averaged_again = data.also_average_s != base.data.also_average_s
-    after = on_all_rows(final.fit, final) if found or averaged_again else before
+    after = on_all_rows(final.fit, final) if found else before
     values = fitted_parameters(after, final)
     sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
     if verdict in ("named", "alias_set") and min(sizes.values(), default=np.inf) < LEAST_SIZE:

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_run_rows import has_whole_run
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.loading import is_whole, load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
@@ -29,6 +28,7 @@ from comparisons.missing_effect.search import (
 )
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
+from comparisons.missing_effect.whole_runs import N_TWINS, Progress
 from surge_core.errors import InputError
 
 __all__ = [
@@ -71,6 +71,8 @@ def diagnose(
     terms: Sequence[str] | None = None,
     catalogue: Sequence[Effect] = CATALOGUE,
     most_effects: int = MOST_EFFECTS,
+    n_twins: int = N_TWINS,
+    progress: Progress = iter,
 ) -> Diagnosis:
     """Find what the lag model of one or several records lacks.
 
@@ -86,6 +88,10 @@ def diagnose(
         Names that compete.
     most_effects : int
         At most so many are added.
+    n_twins : int
+        Twins that are measured of records from raw counts; without them names are provisional.
+    progress : callable
+        Wraps the iteration over the twins.
 
     Raises
     ------
@@ -95,8 +101,15 @@ def diagnose(
     base = tuple(terms) if terms is not None else polynomial_terms(degree)
     if most_effects < 1:
         raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
-    if records and all(has_whole_run(record) for record in records):
-        return diagnose_whole_runs(records, base, catalogue=catalogue, most_effects=most_effects)
+    if records and all(map(is_whole, records)):
+        return diagnose_whole_runs(
+            records,
+            base,
+            catalogue=catalogue,
+            most_effects=most_effects,
+            n_twins=n_twins,
+            progress=progress,
+        )
     return diagnose_data(load_data(records), base, catalogue=catalogue, most_effects=most_effects)
 
 

@@ -78,6 +78,8 @@ def diagnosis_document(
         "where": where_rows,
         "candidates": _candidates(d),
         "unavailable": dict(d.unavailable),
+        "cannot_be_told": [asdict(row) for row in d.untold],
+        "not_there": [asdict(row) for row in d.absent],
         "remarks": list(d.remarks),
         "whole_runs": bool(d.whole_runs),
         "noise": {

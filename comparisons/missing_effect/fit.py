@@ -12,7 +12,7 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Fit", "fit_structure", "solved"]
+__all__ = ["Fit", "fit_structure", "slope_of_starts", "solved"]
 
 MOST_STEPS = 25
 # A step that would win less than this many log-units ends the search: beside a threshold of
@@ -106,7 +106,7 @@ def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: Float
         log τ and the parameters of the effects.
     """
     answer = structure.respond(data, nonlinear)
-    joint = np.column_stack([answer.columns, data.measured])
+    joint = np.column_stack([answer.columns, data.measured - answer.known])
     seen = metric.seen(joint, answer.decay, data)
     columns, target = seen[:, :-1], seen[:, -1]
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
@@ -191,6 +191,7 @@ def _step(
     free = list(structure.free)
     low, high = structure.bounds.T
     slopes = structure.slopes(data, here, found.coefficients, free)
+    slopes[:, 0] += slope_of_starts(structure, data, metric, here, found)
     seen = metric.seen(slopes, found.decay, data)
     seen -= found.basis @ (found.basis.T @ seen)
     normal, gradient = seen.T @ seen, seen.T @ found.errors
@@ -210,3 +211,32 @@ def _step(
             return there, moved, max(damping / 10.0, 1e-9)
         damping = max(10.0 * damping, 1e-3)
     return here, None, damping
+
+
+def slope_of_starts(
+    structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
+) -> FloatArray:
+    """Return how what is left of the starts of the runs moves with log τ.
+
+    A short run, or one that begins in a reversal, ends at another τ without it.
+
+    Parameters
+    ----------
+    structure : Structure
+        Terms and effects.
+    data : LagData
+        Rows.
+    metric : Metric
+        How errors are weighed.
+    here : ndarray of shape (p,)
+        log τ and the parameters of the effects.
+    found : Solution
+        The linear parameters there.
+    """
+    left = data.measured - structure.output(data, here, found.coefficients)
+    seen, decay = (metric.whitened(values, data) for values in (left, found.decay))
+    moved = -found.decay * np.log(np.maximum(found.decay, 1e-300))
+    for run in data.slices:
+        norm = float(decay[run] @ decay[run])
+        moved[run] *= float(decay[run] @ seen[run]) / norm if norm > 1e-12 else 0.0
+    return moved

@@ -62,8 +62,6 @@ class LagData:
         Levels below which a quarter, three quarters and 92 % of the measured coefficient lie.
     sources : tuple of str
         Names of the records.
-    also_average_s : float
-        Length of a second average, over a ripple that the first leaves; 0 for none.
     has_reverse_loss : bool
         Whether the last two nuisances are the loss in reversed flow and its derivative.
     """
@@ -89,7 +87,6 @@ class LagData:
     surge_s: float
     psi_levels: tuple[float, float, float]
     sources: tuple[str, ...]
-    also_average_s: float = 0.0
     has_reverse_loss: bool = False
 
     def __getitem__(self, name: str) -> FloatArray:
@@ -186,17 +183,24 @@ class LagData:
             return columns
         from classic_ml.filters import period_average
 
-        out = columns
-        for period_s in (self.average_s, self.also_average_s):
-            if period_s == 0.0:
-                continue
-            before, out = out, np.empty_like(columns)
-            for start, stop in self.fine_runs:
-                for j in range(columns.shape[1]):
-                    out[start:stop, j] = period_average(
-                        before[start:stop, j], period_s, 1.0 / self.step_s
-                    )
+        out = np.empty_like(columns)
+        for start, stop in self.fine_runs:
+            for j in range(columns.shape[1]):
+                out[start:stop, j] = period_average(
+                    columns[start:stop, j], self.average_s, 1.0 / self.step_s
+                )
         return out
+
+    def of_exit(self, change_Pa: FloatArray) -> FloatArray:
+        """Return at the samples what a change of P31, of shape (N,), makes of ψ' from raw counts.
+
+        Parameters
+        ----------
+        change_Pa : ndarray of shape (N,)
+            On the fine grid, in pascal.
+        """
+        change = (change_Pa * self.signals["psi_p_per_Pa"])[:, None]
+        return self.sampled(self.averaged(change)[:, 0])
 
     def with_signal(self, name: str, values: FloatArray) -> LagData:
         """Return the same data with one more fine signal."""

@@ -104,7 +104,7 @@ class Limits:
     seconds : float
         Time that it took.
     whole_runs : bool
-        Whether the records are whole runs, whose own errors stay in place in every trial.
+        Whether the records are whole runs, whose twins show the limits without a trial.
     """
 
     rows: tuple[Limit, ...]
@@ -138,14 +138,9 @@ class Limits:
             f"Smallest effect that would have been named in {100 * self.share:.0f} % of "
             f"{self.trials} trials on these records:"
         )
-        return (head, *table, *none, *((check,) if checked else ()), *self._remark)
-
-    @property
-    def _remark(self) -> tuple[str, ...]:
-        if not self.whole_runs:
-            return ()
-        words = "the trials differ in measurement noise alone: what the model leaves of these runs "
-        return (words + "is its own error, and stays where it is",)
+        if self.whole_runs:
+            head = "Smallest effect that stands out of twins of these records (3 σ):"
+        return (head, *table, *none, *((check,) if checked else ()))
 
     def to_json(self) -> dict[str, Any]:
         """Return the limits as plain JSON types."""
@@ -166,7 +161,8 @@ def _cells(row: Limit) -> tuple[str, str, str, str]:
     at = ", ".join(WORDS.get((n, v), f"{symbol(n)} {v:.3g}") for n, v in listed.items())
     size = f"{symbol(row.parameter)} = {size_words(row.size, row.unit)}{f' ({at})' if at else ''}"
     check = f"{row.check_named} of {row.check_trials} at {CHECKED_AT:g} times that"
-    return row.effect, size, f"{row.excess_sigma:.2f} σ", check if row.check_trials else ""
+    excess = f"{row.excess_sigma:.2f} σ" if math.isfinite(row.excess_sigma) else ""
+    return row.effect, size, excess, check if row.check_trials else ""
 
 
 def size_words(value: float, unit: str) -> str:

@@ -18,9 +18,6 @@ from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.limit_table import CHECKED_AT, Limit, Limits, size_words
 from comparisons.missing_effect.planting import Planter
-from comparisons.missing_effect.uncertainty import LEAST_SIZE, size_in_errors
-from comparisons.missing_effect.whole_run_diagnosis import CHAIN_ERROR, LARGEST_MODEL_ERROR
-from comparisons.missing_effect.whole_runs import alias_by_share, plain_bench, weighed_by_share
 from surge_core.errors import InputError
 
 __all__ = ["Limit", "Limits", "planted_limits"]
@@ -99,6 +96,8 @@ def planted_limits(
         e if isinstance(e, Effect) else find_effect(e)
         for e in (CATALOGUE if effects is None else effects)
     ]
+    if diagnosis.whole_runs:
+        return _of_twins(diagnosis, wanted)
     drill = _Drill(
         Planter.of(diagnosis),
         diagnosis.before.structure.terms,
@@ -115,7 +114,7 @@ def planted_limits(
     tasks = [(drill, effect, known.get(effect.name, never)) for effect in wanted]
     rows = tuple(progress(_done(tasks, jobs)))
     seconds = time.perf_counter() - begin
-    return Limits(rows, share, trials, seed, seconds, drill.planter.whole_runs)
+    return Limits(rows, share, trials, seed, seconds)
 
 
 def _why_never(diagnosis: Diagnosis) -> str:
@@ -202,10 +201,6 @@ class _Drill:
     def _not_planted(self, effect: Effect) -> str:
         if effect.port == "noise":
             return "it is a property of φ, not of the model"
-        if self.planter.whole_runs and effect.episodes:
-            return "in whole runs it is looked for before the average that these rows passed"
-        if self.planter.whole_runs and effect.name == "reverse_flow_branch":
-            return "in whole runs it is judged in rows that are not scored"
         return ""
 
     def _found(self, effect: Effect, size: float, named: int, none: Limit, attempt: int) -> Limit:
@@ -301,10 +296,6 @@ class _Drill:
     def _accepted(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         """Tell whether the effect alone is accepted, without rivals."""
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
-        if self.planter.whole_runs:
-            bench = plain_bench(data, self.terms, len(CATALOGUE), block_rows(data))
-            _, candidates = weighed_by_share(bench, [effect])
-            return any(c.evidence.accepted for c in candidates)
         metric = self.planter.source.noise.metric().on(np.arange(data.n_samples))
         bench = Bench.start(
             data, fit.structure, metric, fit.nonlinear, block_rows(data), len(CATALOGUE)
@@ -323,33 +314,27 @@ class _Drill:
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)
-        if self.planter.whole_runs:
-            return effect.name in _names_in_whole_runs(data, self.terms)
         found = diagnose_data(data, self.terms)
         return any(effect.name in item.alias_set and not item.provisional for item in found.missing)
 
 
-def _names_in_whole_runs(data: LagData, terms: tuple[str, ...]) -> set[str]:
-    """Return what the workflow on whole runs names firmly, from rows instead of from records."""
-    effects = [e for e in CATALOGUE if e.missing_channel(data) is None and not e.episodes]
-    bench = plain_bench(data, terms, len(effects), block_rows(data))
-    scored = data.scored()
-    mean = float(np.mean(np.abs(data.measured[scored])))
-    named: set[str] = set()
-    left, found = math.inf, 0
-    while found < MOST_EFFECTS and left > CHAIN_ERROR:
-        rest = [e for e in effects if e.name not in bench.fit.structure.names]
-        bench, candidates = weighed_by_share(bench, rest)
-        winner = next((c for c in candidates if c.evidence.accepted), None)
-        if winner is None:
-            break
-        named |= {candidate.name for candidate in alias_by_share(winner, candidates)}
-        bench, found = replace(bench, fit=winner.fit), found + 1
-        errors = bench.fit.errors(data, replace(bench.metric, sigma=1.0))[scored]
-        left = float(np.sqrt(np.mean(errors**2))) / mean
-    effects = list(bench.fit.structure.effects)
-    detected = all(size_in_errors(effect, bench.fit, bench) >= LEAST_SIZE for effect in effects)
-    return named if detected and left <= LARGEST_MODEL_ERROR else set()
+def _of_twins(diagnosis: Diagnosis, effects: Sequence[Effect]) -> Limits:
+    """Return what twins of whole runs show: there the limits are known without planting."""
+    sizes = {row.effect: row for row in diagnosis.absent}
+    never = {
+        **{row.effect: row.why for row in diagnosis.untold},
+        **diagnosis.unavailable,
+        **dict.fromkeys(diagnosis.names, "these records have it already"),
+    }
+    rows = []
+    for effect in effects:
+        row, amplitude = sizes.get(effect.name), effect.parameters[0]
+        none = Limit(effect.name, amplitude.name, amplitude.unit)
+        if row is None:
+            rows.append(_without(none, never.get(effect.name, "it is judged in other rows")))
+        else:
+            rows.append(Limit(effect.name, row.parameter, row.unit, row.size))
+    return Limits(tuple(rows), 1.0, 0, 0, 0.0, whole_runs=True)
 
 
 def _largest(effect: Effect) -> float:

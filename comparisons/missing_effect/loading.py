@@ -9,30 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.filters import period_average
-from classic_ml.free_run import near
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.branches import design, has_loss, scored_rows
+from classic_ml.whole_record.rakes import rake_signals_of
+from classic_ml.whole_record_run import has_rakes, window_of
 from classic_ml.whole_run import check_rates
-from classic_ml.whole_run_rows import (
-    WholeRunRows,
-    has_whole_run,
-    is_blowdown,
-    whole_run_rows,
-)
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.missing_effect.excitation import amplitude_of, smooth_channel, surge_frequency_hz
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FINE_STEPS", "load_data"]
+__all__ = ["FINE_STEPS", "is_whole", "load_data", "reading_of", "whole_data"]
 
 # Simulated at the sample step alone, the integration error of surge with harmonics reads as a
 # delay (research: distance 4 to 25 standard errors); at four steps to a sample none is left.
 FINE_STEPS = 4
 TRAIN_SHARE = 0.6
 PSI_SHARES = (0.25, 0.75, 0.92)
-# Level and slope of the unstalled branch, the loss in reversed flow and its derivative.
-WHOLE_RUN_NUISANCES = 4
+# A step of P31 by which its part in ψ' is found.
+STEP_PA = 100.0
 # Rows ahead of a segment that are simulated, so that a late φ is known at its first row.
 LEAD_ROWS = 10
 # An averaged signal changes little from row to row: four rows to the average lose nothing and
@@ -40,19 +37,22 @@ LEAD_ROWS = 10
 ROWS_OF_AVERAGE = 4.0
 
 
-def load_data(records: Sequence[CoefficientSeries], *, also_average_s: float = 0.0) -> LagData:
+def is_whole(record: CoefficientSeries) -> bool:
+    """Return whether a record is taken as a free run from raw counts."""
+    return record.psi_p_unfiltered is not None and has_rakes(record)
+
+
+def load_data(records: Sequence[CoefficientSeries]) -> LagData:
     """Return the rows of one or several records, split into fitted, later and another record.
 
     The last record, where there are two or more, is never fitted; of the others the last 40 % of
-    the scored rows are held out. Records that carry unfiltered columns are taken as one free run,
-    averaged over the stall cells, as in `compare`.
+    the scored rows are held out. Records that carry the signals of their probe pairs are taken as
+    free runs, as in `compare`.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
         At one sample rate.
-    also_average_s : float
-        Average whole runs over this period too, in seconds.
 
     Raises
     ------
@@ -61,19 +61,11 @@ def load_data(records: Sequence[CoefficientSeries], *, also_average_s: float = 0
     """
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
-    whole = all(has_whole_run(record) for record in ordered)
-    pieces = [
-        _whole_run(record, also_average_s) if whole else _segments(record) for record in ordered
-    ]
-    if whole and is_blowdown([whole_run_rows(record) for record in ordered]):
-        raise InputError(
-            ", ".join(record.source for record in ordered),
-            expected="rows in forward flow in stall",
-            found="one blowdown after another",
-            remedy="the diagnosis fits the rows in stall alone, and these are too few; `compare` "
-            "estimates τ from all forward rows",
-        )
-    data = _joined(pieces, [record.source for record in ordered], also_average_s)
+    whole = all(map(is_whole, ordered))
+    if whole:
+        data = whole_data(ordered, [reading_of(record) for record in ordered])
+    else:
+        data = _joined([_segments(record) for record in ordered], [r.source for r in ordered])
     least = 4 * MINIMUM_SEGMENT_ROWS
     for part, what in ((TRAIN, "to fit"), (LATER, "to hold out")):
         if whole and part == LATER:
@@ -88,6 +80,49 @@ def load_data(records: Sequence[CoefficientSeries], *, also_average_s: float = 0
                 remedy="take a longer record or wider segments",
             )
     return data
+
+
+def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
+    """Read a record from raw counts; its stated window, if there is one, holds.
+
+    Parameters
+    ----------
+    record : CoefficientSeries
+        With the signals of its probe pairs.
+    degree : int
+        Of the characteristic.
+
+    Raises
+    ------
+    InputError
+        When it has no rows to fit.
+    """
+    signals = rake_signals_of(record)
+    assert signals is not None
+    stalled = None if record.stalled is None else np.asarray(record.stalled, dtype=np.bool_)
+    return RecordReading.of(signals, window_of(record), degree, stalled)
+
+
+def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:
+    """Return the rows of free runs: all that flow forward, of both branches, are scored.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        In the order of their clocks.
+    readings : sequence of RecordReading
+        Of each, or of its twin.
+    """
+    pieces = [_whole_run(*both) for both in zip(records, readings, strict=True)]
+    widths = [piece.nuisance[0].shape[1] - 2 for piece in pieces]
+    first = np.concatenate([[0], np.cumsum(widths)])
+    # The unstalled branch is each record's own, the loss in reversed flow that of the machine.
+    for piece, start, width in zip(pieces, first, widths, strict=False):
+        own = [np.zeros((run.shape[0], first[-1] + 2)) for run in piece.nuisance]
+        for out, run in zip(own, piece.nuisance, strict=True):
+            out[:, start : start + width], out[:, -2:] = run[:, :-2], run[:, -2:]
+        piece.nuisance = own
+    return _joined(pieces, [record.source for record in records])
 
 
 class _Piece:
@@ -165,73 +200,54 @@ def _record_signals(record: CoefficientSeries):  # type: ignore[no-untyped-def]
     return known, float(np.mean(amplitude[used])), float(np.mean(as_is[used]))
 
 
-def _whole_run(record: CoefficientSeries, also_average_s: float) -> _Piece:
-    """Take one free run through a record; the fine grid is its own rows."""
-    averaged = _averaged_again(whole_run_rows(record, 0), record, also_average_s)
-    inside = np.flatnonzero(np.asarray(record.free_run) > 0)
-    average_s = cell_average_s(record)
-    every = max(1, round(average_s * record.sample_rate_hz / ROWS_OF_AVERAGE))
-    length = (inside.size - 1) // every * every + 1
-    rows = inside[:length]
-    piece = _Piece(every, record.sample_period_s, average_s)
-    amplitude = amplitude_of(averaged.phi, record.sample_rate_hz)[:length]
-    signals = {
-        "time_s": record.time_s[rows],
-        "phi": np.asarray(record.phi_unfiltered)[rows],
-        "dphi_s": np.gradient(averaged.phi, record.sample_period_s)[:length],
-        "phi_averaged": averaged.phi[:length],
-        "phi_smooth": averaged.phi[:length],
+def _whole_run(record: CoefficientSeries, reading: RecordReading) -> _Piece:
+    """Take the free runs through a record; the fine grid is its own rows."""
+    passes, spec, signals = reading.passes, reading.spec, reading.signals
+    rate_hz, period_s = 1.0 / passes.sample_period_s, passes.period_s
+    every = max(1, round(spec.average_s * rate_hz / ROWS_OF_AVERAGE))
+    piece = _Piece(every, passes.sample_period_s, spec.average_s)
+    inputs, psi_p = design(passes, spec, reading.in_stall)
+    nuisance = inputs[:, spec.degree + 1 :]
+    if not has_loss(passes):
+        nuisance = np.column_stack([nuisance, np.zeros((passes.phi.size, 2))])
+    phi, _, speed = signals.coefficients(passes.planes)
+    amplitude = amplitude_of(period_average(phi, period_s, rate_hz), rate_hz)[passes.row]
+    averaged = passes.smooth(passes.phi, spec.average_s)
+    # Averaged over the cells too, or the noise of dφ/dt, which ψ' shares, explains itself.
+    slow = passes.smooth(passes.phi, period_s)
+    more = replace(passes.planes, exit_Pa=passes.planes.exit_Pa + STEP_PA)
+    per_Pa = (signals.coefficients(more)[1][passes.row] - passes.psi_p) / STEP_PA
+    signal = {
+        "time_s": record.time_s[passes.row],
+        "phi": passes.phi,
+        "phi_averaged": averaged,
+        "phi_smooth": averaged,
         "amplitude": amplitude,
         "amplitude_as_is": amplitude,
-        "stalled": np.asarray(record.stalled)[rows].astype(np.float64),
+        "stalled": passes.smooth(reading.in_stall.astype(np.float64), spec.blend_s),
+        "Nc_frac": period_average(speed, period_s, rate_hz)[passes.row],
+        "exit_Pa": passes.planes.exit_Pa[passes.row],
+        "psi_p_per_Pa": np.where(np.isfinite(per_Pa), per_Pa, 0.0),
     }
     if record.T25_K is not None:
-        temperature = period_average(record.T25_K, average_s, record.sample_rate_hz)[rows]
-        signals["T25_K"] = temperature
-        signals["dT25_K_s"] = np.gradient(temperature, record.sample_period_s)
-    if record.Nc_frac is not None:
-        signals["Nc_frac"] = record.Nc_frac[rows]
-    piece.signals = {name: [np.asarray(values)] for name, values in signals.items()}
-    kept = slice(0, length)
-    piece.nuisance = [averaged.nuisance[kept]]
-    piece.measured = [averaged.psi_p[kept][::every]]
-    piece.weight = [averaged.weight[kept][::every]]
+        signal["T25_K"] = period_average(record.T25_K, period_s, rate_hz)[passes.row]
+    weight = scored_rows(passes, spec).astype(np.float64)
+    for run in passes.pieces:
+        kept = slice(run.start, run.start + (run.stop - run.start - 1) // every * every + 1)
+        own = {name: np.ascontiguousarray(values[kept]) for name, values in signal.items()}
+        own["dphi_s"] = np.gradient(slow[kept], passes.sample_period_s)
+        if "T25_K" in own:
+            own["dT25_K_s"] = np.gradient(own["T25_K"], passes.sample_period_s)
+        for name, values in own.items():
+            piece.signals.setdefault(name, []).append(values)
+        piece.nuisance.append(nuisance[kept])
+        piece.measured.append(psi_p[kept][::every])
+        piece.weight.append(weight[kept][::every])
     piece.amplitude = piece.amplitude_as_is = float(np.mean(amplitude))
     return piece
 
 
-def cell_average_s(record: CoefficientSeries) -> float:
-    """Return the period of the stall cells that the reduction found, in seconds.
-
-    Parameters
-    ----------
-    record : CoefficientSeries
-        One that carries a whole run.
-    """
-    return next(
-        float(entry.parameters["average_s"])
-        for entry in reversed(record.history)
-        if entry.step == "free run" and "average_s" in entry.parameters
-    )
-
-
-def _averaged_again(rows: WholeRunRows, record: CoefficientSeries, period_s: float) -> WholeRunRows:
-    """Average a free run over a second period; rows that it smears across a switch go."""
-    if period_s == 0.0:
-        return rows
-    rate = record.sample_rate_hz
-    reach = round(0.5 * period_s * rate)
-    columns = [period_average(column, period_s, rate) for column in rows.nuisance.T]
-    return replace(
-        rows,
-        phi=period_average(rows.phi, period_s, rate),
-        psi_p=period_average(rows.psi_p, period_s, rate),
-        nuisance=np.column_stack(columns),
-        weight=np.where(near(rows.weight == 0.0, reach, reach), 0.0, rows.weight),
-    )
-
-
-def _joined(pieces: Sequence[_Piece], sources: Sequence[str], also_average_s: float) -> LagData:
+def _joined(pieces: Sequence[_Piece], sources: Sequence[str]) -> LagData:
     first = pieces[0]
     names = [n for n in first.signals if all(n in piece.signals for piece in pieces)]
     measured = [run for piece in pieces for run in piece.measured]
@@ -274,8 +290,7 @@ def _joined(pieces: Sequence[_Piece], sources: Sequence[str], also_average_s: fl
         _surge_s(signals["phi"], fine_runs, first.step_s),
         _levels(np.concatenate(measured)[weight > 0.0]),
         tuple(sources),
-        also_average_s,
-        bool(moving.size == WHOLE_RUN_NUISANCES and moving[-2] and moving[-1]),
+        bool(first.average_s > 0.0 and moving[-2] and moving[-1]),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.coefficient_groups import (
     CoefficientGroups,
     assembled_fit,
@@ -123,28 +123,19 @@ class Planter:
         Noise like theirs.
     sigma : float
         Standard deviation of one error.
-    floor_rms : float
-        That of the measurement noise.
     """
 
     fit: Fit
     data: LagData
     source: NoiseSource
     sigma: float
-    floor_rms: float
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Planter:
         """Return the planter of a diagnosis: its model after, its rows, its noise."""
         data = with_own_state(diagnosis.data, diagnosis.after)
         source = NoiseSource.of(diagnosis.after, diagnosis.noise, data)
-        noise = diagnosis.noise.sigma
-        return cls(diagnosis.after, data, source, noise, diagnosis.gap.floor_rms)
-
-    @property
-    def whole_runs(self) -> bool:
-        """Whether these are whole runs, whose errors are the model's own and not noise."""
-        return self.data.average_s > 0.0
+        return cls(diagnosis.after, data, source, diagnosis.noise.sigma)
 
     def shape(self, effect: Effect) -> FloatArray:
         """Return where an effect is planted: its parameters beside the amplitude that are searched.
@@ -159,8 +150,7 @@ class Planter:
         if effect.name == "characteristic_shape":
             return np.array([float(BUMP_INTERVALS), *self.data.phi_range])
         if effect.episodes:
-            highest_hz = HIGHEST_SHARE / max(self.data.average_s, 1e-12)
-            frequency_hz = min(RIPPLE_SHARE / self.data.sample_period_s, highest_hz)
+            frequency_hz = RIPPLE_SHARE / self.data.sample_period_s
             return np.array([frequency_hz, float(np.median(self._phi))])
         starts = effect.starts(self.data)
         held = any(p.kind == "held" for p in effect.nonlinear)
@@ -222,9 +212,6 @@ class Planter:
     def measured(self, clean: FloatArray, rng: np.random.Generator) -> LagData:
         """Return the rows with a coefficient that was measured with noise.
 
-        What a model leaves of whole runs comes back in every cycle: there the errors of the
-        records stay where they are, and only measurement noise is added.
-
         Parameters
         ----------
         clean : ndarray of shape (n,)
@@ -232,13 +219,7 @@ class Planter:
         rng : Generator
             Of the noise.
         """
-        if not self.whole_runs:
-            return self.data.with_measured(clean + self.source.draw(rng))
-        rows = max(1, round(self.data.average_s / self.data.sample_period_s))
-        white = rng.standard_normal(clean.size + rows - 1)
-        noise = np.convolve(white, np.full(rows, rows**-0.5), mode="valid")
-        own = self.data.measured - self.bare
-        return self.data.with_measured(clean + own + self.floor_rms * noise)
+        return self.data.with_measured(clean + self.source.draw(rng))
 
     def promise(self, clean: FloatArray) -> tuple[float, float]:
         """Return what an effect leaves once the model without it is fitted again.

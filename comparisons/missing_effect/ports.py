@@ -43,6 +43,8 @@ class Ports:
         Their names.
     degree : int
         Highest power of φ up to which the base terms hold all.
+    known : ndarray of shape (n,), optional
+        What is added at the samples without a coefficient.
     """
 
     phi: FloatArray
@@ -55,6 +57,7 @@ class Ports:
     added: FloatArray | None = None
     added_names: tuple[str, ...] = ()
     degree: int = 0
+    known: FloatArray | None = None
 
     @classmethod
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
@@ -73,6 +76,10 @@ class Ports:
             driven=np.column_stack([self.driven, columns]),
             names=(*self.names, *names),
         )
+
+    def with_known(self, values: FloatArray) -> Ports:
+        """Return the ports with more that is added without a coefficient."""
+        return replace(self, known=values if self.known is None else self.known + values)
 
     def with_added(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more columns behind the lag."""
@@ -116,10 +123,13 @@ class Response:
         One a linear coefficient: inputs of the lag, nuisances, what is added behind it.
     decay : ndarray of shape (n,)
         What is left, at each sample, of a start of its run that is off by one.
+    known : ndarray of shape (n,) or float
+        What the model adds to them without a coefficient.
     """
 
     columns: FloatArray
     decay: FloatArray
+    known: FloatArray | float = 0.0
 
 
 def respond(
@@ -152,7 +162,7 @@ def respond(
         columns = columns * ports.out_gain[:, None]
     if ports.added is not None:
         columns = np.column_stack([columns, ports.added])
-    return Response(columns, decay)
+    return Response(columns, decay, 0.0 if ports.known is None else ports.known)
 
 
 def _lagged(

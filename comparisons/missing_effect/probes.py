@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.fit import Fit, Solution, solved
+from comparisons.missing_effect.fit import Fit, Solution, slope_of_starts, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.ports import Ports, respond
@@ -78,6 +78,7 @@ class Prober:
         slopes = fit.structure.slopes(
             data, fit.nonlinear, self.solution.coefficients, fit.structure.free
         )
+        slopes[:, 0] += slope_of_starts(fit.structure, data, metric, fit.nonlinear, self.solution)
         seen = metric.seen(slopes, self.solution.decay, data)
         basis = self.solution.basis
         seen -= basis @ (basis.T @ seen)
@@ -153,7 +154,7 @@ class Prober:
         q, k = ports.driven.shape[1], data.nuisance.shape[1]
         nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
         answer = respond(ports.contracted(coefficients), data, self.fit.tau_s, nuisance)
-        return np.asarray(answer.columns.sum(axis=1))
+        return np.asarray(answer.columns.sum(axis=1) + answer.known)
 
     def _score(self, columns: FloatArray) -> tuple[float, FloatArray, float]:
         """Return gain, own orthonormal columns, and the amplitude of a single column."""

@@ -111,8 +111,9 @@ def not_fitted(d: Diagnosis, catalogue: Sequence[Effect] = CATALOGUE) -> tuple[s
         for effect in catalogue
         if effect.name not in fitted
         and effect.name not in d.unavailable
-        # On whole runs a ripple is looked for as a line of the spectrum.
-        and not (d.whole_runs and effect.episodes)
+        and effect.name not in {row.effect for row in d.untold}
+        # On whole runs a ripple is a line of the spectrum, and reversed rows are not scored.
+        and not (d.whole_runs and (effect.episodes or effect.name == "reverse_flow_branch"))
     )
 
 

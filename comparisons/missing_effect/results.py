@@ -12,11 +12,11 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.quantities import numbers_of, tau_ms
 from comparisons.missing_effect.search import Leftover, Round
-from comparisons.missing_effect.whole_runs import RippleLine
+from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import significant
 
-__all__ = ["SIZE", "Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
+__all__ = ["SIZE", "Absent", "Diagnosis", "FittedParameter", "Gap", "MissingEffect", "Untold"]
 
 # Under this name the evidence holds how many standard errors large an effect is as a whole.
 SIZE = "size_in_errors"
@@ -74,6 +74,43 @@ class MissingEffect:
 
 
 @dataclass(frozen=True)
+class Untold:
+    """An effect about which these records do not decide.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    why, what_would_tell : str
+        What it reads where nothing is missing; the measurement that would tell.
+    """
+
+    effect: str
+    why: str
+    what_would_tell: str
+
+
+@dataclass(frozen=True)
+class Absent:
+    """An effect that is not there, and the size from which on it would have been seen.
+
+    Parameters
+    ----------
+    effect, parameter : str
+        Its name, and that of its number; ``"rms"`` for the part of ψ' that it makes.
+    size : float
+        Of its number.
+    unit : str
+        SI; ``"1"`` without one.
+    """
+
+    effect: str
+    parameter: str
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Diagnosis(Displayed):
     """What a model of these records lacks.
 
@@ -110,6 +147,10 @@ class Diagnosis(Displayed):
         A second pattern of stall cells, on whole runs.
     remarks : tuple of str
         What a reader should know beside it.
+    untold : tuple of Untold
+        On whole runs, effects about which these records do not decide.
+    absent : tuple of Absent
+        On whole runs, effects that would have been seen.
     """
 
     verdict: str
@@ -130,6 +171,8 @@ class Diagnosis(Displayed):
     unavailable: Mapping[str, str]
     ripple: RippleLine | None = None
     remarks: tuple[str, ...] = ()
+    untold: tuple[Untold, ...] = ()
+    absent: tuple[Absent, ...] = ()
 
     @property
     def whole_runs(self) -> bool:

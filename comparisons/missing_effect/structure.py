@@ -92,7 +92,7 @@ class Structure:
         for effect in self.in_order:
             if effect.port == "input":
                 ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
-        return Ports.of(data, ports.phi, self.terms)
+        return replace(Ports.of(data, ports.phi, self.terms), known=ports.known)
 
     @property
     def in_order(self) -> tuple[Effect, ...]:
@@ -174,4 +174,4 @@ class Structure:
         joined = ports.contracted(coefficients)
         nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
         answer = respond(joined, data, float(np.exp(nonlinear[0])), nuisance)
-        return np.asarray(answer.columns.sum(axis=1))
+        return np.asarray(answer.columns.sum(axis=1) + answer.known)

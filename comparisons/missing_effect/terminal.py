@@ -13,6 +13,7 @@ from comparisons.missing_effect.ranked import CandidateRow, candidate_rows
 from comparisons.missing_effect.words import (
     noise_words,
     opening_words,
+    untold_words,
     untried_words,
     verdict_words,
 )
@@ -156,7 +157,8 @@ def diagnosis_text(
     if d.verdict != "noise_model_wrong":
         lines += ["", *_wrapped(noise_words(d))]
     lines += ["", "Who was tried", candidate_table(d)]
-    lines += [line for words in untried_words(d) for line in _wrapped(words)]
+    said = (*untold_words(d), *untried_words(d))
+    lines += [line for words in said for line in _wrapped(words)]
     for heading, more in (("Limits", limits), ("What would tell them apart", separation)):
         if more is not None:
             lines += ["", heading, *(line for words in more.lines for line in _kept(words))]

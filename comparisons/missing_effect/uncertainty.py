@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.open_terms import with_own_state
@@ -17,7 +17,6 @@ from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.candidates import Bench
-    from comparisons.missing_effect.results import FittedParameter
 
 __all__ = [
     "LEAST_SIZE",
@@ -67,8 +66,6 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     bench : Bench
         Records and metric.
     """
-    from comparisons.missing_effect.results import FittedParameter
-
     data = with_own_state(bench.data, fit)
     covariance = covariance_of(fit, data, bench)
     free = list(fit.structure.free)

@@ -1,4 +1,4 @@
-"""The workflow on whole runs from raw counts: names by what they explain."""
+"""The workflow on whole runs from raw counts: names by what they explain beyond twins."""
 
 from __future__ import annotations
 
@@ -7,48 +7,61 @@ from dataclasses import replace
 
 import numpy as np
 
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.loading import reading_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import (
     SIZE,
+    Absent,
     Diagnosis,
     FittedParameter,
     Gap,
     MissingEffect,
+    Untold,
 )
 from comparisons.missing_effect.search import Leftover, Round
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
+from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
+from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
-    RippleLine,
-    alias_by_share,
-    averaged_noise,
+    N_TWINS,
+    SHAPED,
+    Nulls,
+    Progress,
     cycles_left_out,
+    fitted,
+    nulls_of,
+    number_of,
     plain_bench,
-    ripple_line,
-    weighed_by_share,
+    rivals,
+    rms_left,
+    weighed,
 )
-from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["diagnose_whole_runs"]
 
-# Untouched records leave 0.012 to 0.021 of the mean ψ'. A further effect is only looked for above
-# the first of these; above the second, whatever was named, something else is there.
-CHAIN_ERROR = 0.022
-LARGEST_MODEL_ERROR = 0.03
 NOTHING_LEFT = Leftover(0.0, 0, 1.0)
+# Beyond so many times what twins leave, model error rules the errors, and a name may be another's.
+MUCH = 2.0
 # Averaged φ² above this is a reversal and not its edge; what the loss must explain there.
 LEAST_LOSS = 1e-5
 LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
-# A second average smears rows across the switches; with fewer left than this it is not taken.
-LEAST_KEPT = 0.4
+REVERSED = "reverse_flow_branch"
+ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
+SECOND_PATTERN = "what a second pattern of stall cells leaves takes other names"
+BLIND = {
+    ONE_IMMERSION: "probes at hub and tip",
+    SECOND_PATTERN: "a record at a throttle or speed without the second pattern",
+}
+BETTER_RECORDS = "or a record with loops in stall between the deep cycles, or at a higher rate"
 
 
 def diagnose_whole_runs(
@@ -57,6 +70,8 @@ def diagnose_whole_runs(
     *,
     catalogue: Sequence[Effect],
     most_effects: int,
+    n_twins: int = N_TWINS,
+    progress: Progress = iter,
 ) -> Diagnosis:
     """Find what the lag model of whole runs lacks.
 
@@ -70,108 +85,169 @@ def diagnose_whole_runs(
         Names that compete.
     most_effects : int
         At most so many are added.
+    n_twins : int
+        Twins that are measured; without them all names are provisional.
+    progress : callable
+        Wraps the iteration over the twins.
     """
-    line = _strongest_line(records)
-    plain = load_data(records)
-    data = _averaged_over(records, line, plain) if line else plain
+    check_rates(records)
+    ordered = sorted(records, key=lambda record: float(record.time_s[0]))
+    readings = [reading_of(record) for record in ordered]
+    data = whole_data(ordered, readings)
+    line = _strongest_line(readings)
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
-    # The average has taken the cells off; what it leaves of others is looked for as a line.
-    effects = [e for e in catalogue if e.name not in unavailable and not e.episodes]
-    block = block_rows(data)
-    base = plain_bench(plain, terms, len(effects), block)
-    bench = start = plain_bench(data, terms, len(effects), block) if line else base
+    # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
+    apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
+    effects = [e for e in catalogue if e.name not in apart]
+    why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
+    blind = effects if why or line else []
+    effects = [] if blind else effects
+    base = bench = plain_bench(data, terms, len(effects), block_rows(data))
+    nulls = Nulls({}, np.nan)
+    if n_twins and effects:
+        leader = _of_leader(base, effects)
+        nulls = nulls_of(
+            ordered, readings, base, effects, leader, n_twins=n_twins, progress=progress
+        )
     rounds: list[Round] = []
     sets: dict[str, tuple[Candidate, ...]] = {}
-    # What a second pattern of cells leaves takes other names: they are looked for once it is gone.
-    while len(sets) < most_effects and line is None:
-        bench, candidates = weighed_by_share(bench, [e for e in effects if e.name not in sets])
-        if not sets:
-            base = start = bench
+    while len(sets) < most_effects:
+        known = {candidate.name for members in sets.values() for candidate in members}
+        candidates = weighed(bench, [e for e in effects if e.name not in known], nulls)
         winner = next((c for c in candidates if c.evidence.accepted), None)
         rounds.append(Round(bench, _noise(bench), candidates, (), (), winner, NOTHING_LEFT))
         if winner is None:
             break
-        sets[winner.name] = alias_by_share(winner, candidates)
+        sets[winner.name] = rivals(bench, winner, candidates, nulls)
         bench = replace(bench, fit=winner.fit)
-        if _model_error(bench) < CHAIN_ERROR:
-            break
-    if not rounds:
-        rounds.append(Round(bench, _noise(bench), (), (), (), None, NOTHING_LEFT))
+    much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     diagnosis = concluded(
-        _verdict(sets, line, bench),
+        _verdict(sets, line, much=much and bool(n_twins or sets)),
         base,
         bench,
         sets=sets,
-        provisional=_leaves_much(bench),
+        provisional=much,
         noise=_noise(bench),
         leftover=NOTHING_LEFT,
         rounds=rounds,
         unavailable=unavailable,
-        gap=_gap(base, start, bench, averaged_noise(records)),
+        gap=_gap(base, bench, averaged_noise(readings)),
+    )
+    # Twins lack the first effect, so that they are no null of a second beside it.
+    firm = [
+        i == 0 and _firm(sets[item.effect], base, nulls) for i, item in enumerate(diagnosis.missing)
+    ]
+    missing = tuple(
+        replace(item, provisional=item.provisional or not sure)
+        for item, sure in zip(diagnosis.missing, firm, strict=True)
+    )
+    verdict = diagnosis.verdict
+    if missing and all(item.provisional for item in missing):
+        verdict = "provisional"
+    named = {name for item in missing if not item.provisional for name in item.alias_set}
+    others = [e for e in (*effects, *blind) if e.name not in named]
+    diagnosis = replace(
+        diagnosis,
+        verdict=verdict,
+        missing=missing,
+        untold=_blind(others, why or SECOND_PATTERN) if blind else _untold(others, nulls),
+        absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench), line)
 
 
-def _averaged_over(
-    records: Sequence[CoefficientSeries], line: RippleLine, plain: LagData
-) -> LagData:
-    """Return the rows averaged over a second pattern too, where enough of them are left."""
-    try:
-        data = load_data(records, also_average_s=1.0 / line.frequency_hz)
-    except InputError:
-        return plain
-    kept = np.count_nonzero(data.scored()) / np.count_nonzero(plain.scored())
-    return data if kept >= LEAST_KEPT else plain
+def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
+    """Return what the effect that explains most adds to ψ', on the fine rows.
+
+    With it in the twins the null would hold what is looked for: a drift that the model without it
+    takes for a τ of a second, say. What is shaped by φ has no part of its own.
+    """
+    fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
+    effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
+    fit, data = fits[effect.name], bench.data
+    added = fit.output(data) - without_amplitude(fit, effect, data).output(data)
+    return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _gap(base: Bench, start: Bench, final: Bench, floor_rms: float) -> Gap:
-    """Return the errors of cycles left out, on the rows that both averages score."""
+def _firm(members: Sequence[Candidate], bench: Bench, nulls: Nulls) -> bool:
+    """Return whether one of a set is beyond its null on a record that decides about it."""
+    by_effect = nulls.by_effect
+    return any(
+        c.evidence.accepted
+        and c.name in by_effect
+        and by_effect[c.name].is_sure(number_of(c.added[0], c.fit, bench))
+        for c in members
+    )
+
+
+def _blind(effects: Sequence[Effect], why: str) -> tuple[Untold, ...]:
+    return tuple(Untold(e.name, why, BLIND[why]) for e in effects)
+
+
+def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
+    found = []
+    for effect in effects:
+        null = nulls.by_effect.get(effect.name)
+        if null is None or null.can_be_told or not np.isfinite(null.matters):
+            continue
+        why = (
+            f"on twins of this record, which lack nothing, it reads up to {null.seen_from:.2g} "
+            f"{null.unit}, and {null.matters:.2g} would matter"
+        )
+        found.append(
+            Untold(effect.name, why.replace(" 1,", ","), f"{effect.confirm}; {BETTER_RECORDS}")
+        )
+    return tuple(found)
+
+
+def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
+    found = []
+    for effect in effects:
+        null = nulls.by_effect.get(effect.name)
+        if null is not None and null.can_be_told and np.isfinite(null.matters):
+            name = "rms" if effect.name in SHAPED else effect.parameters[0].name
+            size = max(null.seen_from, 0.5 * null.matters)
+            found.append(Absent(effect.name, name, size, null.unit))
+    return tuple(found)
+
+
+def _gap(base: Bench, final: Bench, floor_rms: float) -> Gap:
+    """Return the errors of cycles left out."""
     valid = final.rows.valid
-    before = cycles_left_out(base.fit, base)[valid] * base.metric.sigma
-    after = before
-    if final is not start or start is not base:
+    before = after = cycles_left_out(base.fit, base)[valid] * base.metric.sigma
+    if final is not base:
         after = cycles_left_out(final.fit, final)[valid] * final.metric.sigma
     return Gap(float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))), floor_rms)
 
 
-def _strongest_line(records: Sequence[CoefficientSeries]) -> RippleLine | None:
-    lines = [line for record in records if (line := ripple_line(record)) is not None]
-    return max(lines, key=lambda line: line.height) if len(lines) == len(records) else None
+def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
+    lines = [line for reading in readings if (line := ripple_line(reading)) is not None]
+    return max(lines, key=lambda line: line.height) if len(lines) == len(readings) else None
 
 
 def _noise(bench: Bench) -> NoiseModel:
-    errors = bench.fit.errors(bench.train, replace(bench.train_metric, sigma=1.0))
-    scored = bench.train.scored()
-    rms = float(np.sqrt(np.mean(errors[scored] ** 2)))
+    rms = rms_left(bench)
     return NoiseModel(rms, rms, (), 0.0)
 
 
-def _leaves_much(bench: Bench) -> bool:
-    return _model_error(bench) > LARGEST_MODEL_ERROR
-
-
-def _model_error(bench: Bench) -> float:
-    """Return what a model leaves, as a share of the mean ψ'."""
-    scored = bench.data.scored()
-    return _noise(bench).sigma / float(np.mean(np.abs(bench.data.measured[scored])))
-
-
-def _verdict(sets: Mapping[str, Sequence[Candidate]], line: RippleLine | None, bench: Bench) -> str:
-    if _leaves_much(bench):
-        return "provisional" if sets or line else "unexplained_structure"
+def _verdict(
+    sets: Mapping[str, Sequence[Candidate]], line: RippleLine | None, *, much: bool
+) -> str:
+    if much:
+        return "provisional" if sets else "named" if line else "unexplained_structure"
     if not sets:
         return "named" if line else "nothing_missing"
     return "alias_set" if any(len(members) > 1 for members in sets.values()) else "named"
 
 
 def _with_line(diagnosis: Diagnosis, line: RippleLine | None) -> Diagnosis:
-    """Add the second pattern of cells, which a second average has taken off."""
+    """Add the second pattern of cells, which the rake differences have taken off."""
     if line is None:
         return diagnosis
     found = MissingEffect(
         "rotating_stall_ripple",
         ("rotating_stall_ripple",),
-        diagnosis.verdict == "provisional",
+        False,
         (
             FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
             FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
@@ -209,8 +285,8 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
     if size < LEAST_SIZE * stderr:
         return diagnosis
     found = MissingEffect(
-        "reverse_flow_branch",
-        ("reverse_flow_branch",),
+        REVERSED,
+        (REVERSED,),
         False,
         (
             FittedParameter("c", size, stderr, "1"),

@@ -27,7 +27,7 @@ from surge_core.rounding import significant
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis, MissingEffect
 
-__all__ = ["noise_words", "opening_words", "untried_words", "verdict_words"]
+__all__ = ["noise_words", "opening_words", "untold_words", "untried_words", "verdict_words"]
 
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show.",
@@ -133,8 +133,8 @@ def noise_words(d: Diagnosis) -> str:
         times = d.noise.sigma / d.gap.floor_rms
         return (
             f"The noise of the averaged ψ' is {significant(d.gap.floor_rms, 3)} rms; the model "
-            f"leaves {times:.1f} times that, which repeats from cycle to cycle: it is what no "
-            "effect here explains, and not noise."
+            f"leaves {times:.1f} times that: noise near zero flow, calibration, and what no effect "
+            "here explains."
         )
     size = f"rms {significant(d.noise.sigma, 3)} in ψ'"
     if not d.noise.coloured and not d.noise.heavy_tailed:
@@ -177,13 +177,34 @@ def untried_words(d: Diagnosis) -> tuple[str, ...]:
     if d.whole_runs:
         line = f"found at {d.ripple.frequency_hz:.4g} Hz" if d.ripple else "none found"
         out.append(
-            "Cells that the average over the first pattern leaves were looked for as a line of the "
-            f"spectrum: {line}."
+            "A second pattern of cells was looked for as a line of the rake differences that no "
+            f"side line of the first has for a partner: {line}."
         )
     if d.unavailable:
         why = "; ".join(f"{name} {reason}" for name, reason in d.unavailable.items())
         out.append(f"Could not be tried on these records: {why}.")
     return tuple(out)
+
+
+def untold_words(d: Diagnosis) -> tuple[str, ...]:
+    """Say which effects would have been seen, and of which these records cannot tell.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    from comparisons.missing_effect.limit_table import size_words
+
+    absent = ", ".join(f"{a.effect} (from {size_words(a.size, a.unit)} on)" for a in d.absent)
+    seen = (f"Not there, and would have been seen: {absent}.",) if absent else ()
+    return (
+        *seen,
+        *(
+            f"Not decided by these records: {u.effect}, {u.why}. It needs {u.what_would_tell}."
+            for u in d.untold
+        ),
+    )
 
 
 def _effect_words(d: Diagnosis, item: MissingEffect) -> str:
@@ -289,7 +310,7 @@ def _doubt_words(d: Diagnosis) -> list[str]:
         return said
     names, word = _listed([item.effect for item in doubted]), _word(doubted)
     if d.whole_runs:
-        why = f"The model with {names} leaves more than untouched records do"
+        why = f"Twins of these records, measured or not, are no measure of {names}"
     elif d.leftover.structured:
         why = (
             f"The model with {names} still leaves structure in its errors (what else was tested "
@@ -370,9 +391,9 @@ def _refused_words(d: Diagnosis) -> str:
 def _too_small(row: CandidateRow) -> str:
     explains = f"explains {100.0 * row.share:.0f} % of the squared errors"
     if np.isinf(row.least_share):
-        return f"{explains}, by a number that the sensor chain itself may leave"
+        return f"{explains}, by a number that is small or that twins take, too"
     if "share" in row.refused_on:
-        return f"{explains}, where untouched records give up to {100.0 * row.least_share:.0f} %"
+        return f"{explains}, where twins of these records give {100.0 * row.least_share:.0f} %"
     return f"{explains}, but not of cycles left out"
 
 

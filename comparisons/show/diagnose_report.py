@@ -24,6 +24,7 @@ from comparisons.missing_effect.terminal import (
 from comparisons.missing_effect.words import (
     noise_words,
     opening_words,
+    untold_words,
     untried_words,
     verdict_words,
 )
@@ -160,7 +161,8 @@ def _candidates(d: Diagnosis) -> tuple[Block, ...]:
         tuple(candidate_cells(d, row) for row in rows),
         marks,
     )
-    untried = tuple(Words(words, "quiet") for words in untried_words(d)[: bool(not_fitted(d))])
+    said = (*untold_words(d), *untried_words(d)[: bool(not_fitted(d))])
+    untried = tuple(Words(words, "quiet") for words in said)
     if not rows:
         return (Words("No effect promised enough to be worth a fit."), *untried)
     how = (
@@ -170,10 +172,9 @@ def _candidates(d: Diagnosis) -> tuple[Block, ...]:
     )
     if d.whole_runs:
         how = (
-            "Each effect is fitted together with τ and the characteristic. From raw counts on the "
-            "model leaves far more than the noise, so that an effect is accepted only where it "
-            "explains more of the squared errors than any does on untouched records, and on "
-            "cycles left out."
+            "Each effect is fitted together with τ and the characteristic, to the record and to "
+            "twins of it, which lack nothing. It is accepted only where it explains more of the "
+            "squared errors than of any twin, by a number beyond theirs, and on cycles left out."
         )
     return (
         Words(how),

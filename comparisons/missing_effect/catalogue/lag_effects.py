@@ -25,6 +25,12 @@ def no_shape(data: LagData) -> FloatArray:
 
 
 def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    if "exit_Pa" in data:
+        # From raw counts: the pressures behind the blading are late, and ψ' is made of them. They
+        # are taken back, and not the model put off: what it has in reversed flow would move into
+        # the rows that are scored.
+        early = shifted(data["exit_Pa"], -values[0] / data.step_s, data.fine_runs)
+        return ports.with_known(data.of_exit(data["exit_Pa"] - early))
     # Only what is smooth is shifted: noise on φ says nothing about a delay, but its own shift
     # would correlate with what it leaves in the errors.
     smooth = np.ascontiguousarray(data["phi_smooth"])

@@ -33,6 +33,8 @@ def _thermocouple(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 
 def _sensitivity(ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    if "exit_Pa" in data:
+        return ports.with_known(data.of_exit(values[0] * clock_s(data) * data["exit_Pa"]))
     return ports.with_out_gain(1.0 + values[0] * data.sampled(clock_s(data)))
 
 

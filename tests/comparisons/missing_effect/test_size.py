@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from effect_data import CUBIC, hidden, series_of
 
-from classic_ml.io import read_raw
-from classic_ml.reduction import reduce_record
 from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.diagnosis import first_bench
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.results import SIZE, Diagnosis, Gap
@@ -25,7 +22,6 @@ from comparisons.missing_effect.uncertainty import (
     on_all_rows,
     size_in_errors,
 )
-from comparisons.missing_effect.whole_runs import plain_bench, weighed_by_share
 
 SHORT = {"seed": 3, "n_samples": 1000}
 
@@ -90,28 +86,3 @@ def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:
     assert item.evidence[SIZE] < LEAST_SIZE
     assert item.provisional
     assert d.verdict == "provisional"
-
-
-def test_a_longer_tau_is_not_followed_however_low_the_errors(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    """A drift is had in part as a slow lag: the errors fall towards a τ that nothing has."""
-    from comparisons.rig import simulate, write_run
-
-    folder = tmp_path_factory.mktemp("drifting")
-    write_run(simulate("985", hide="sensitivity_drift"), folder)
-    data = load_data([reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series])
-    base = plain_bench(data, ("1", "phi", "phi^2"), 15, block_rows(data))
-    couple = base.prober().probe(find_effect("thermocouple_lag"))
-    alone = base.without_added(base.fitted(couple))
-    assert alone.cost < 0.6 * base.fit.cost
-    assert alone.tau_s > 1.0
-    names = ("thermocouple_lag", "hysteresis", "bias_drift")
-    bench, candidates = weighed_by_share(base, [find_effect(name) for name in names])
-    assert bench is base
-    assert candidates[0].name == "bias_drift"
-    assert candidates[0].evidence.share > 0.85
-    assert candidates[0].fit.tau_s == pytest.approx(0.018, abs=0.004)
-    # Of what a lag of the thermocouple would win, the τ of a second alone wins most.
-    late = next(c for c in candidates if c.name == "thermocouple_lag")
-    assert late.evidence.share < 0.5 < 1.0 - late.fit.cost / base.fit.cost

@@ -1,0 +1,150 @@
+"""What spectra say of whole runs: a second pattern of stall cells, and the measurement noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.filters import period_average
+from classic_ml.record_reading import RecordReading
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["RippleLine", "averaged_noise", "ripple_line"]
+
+HIGHEST_LINE_HZ, HIGHEST_SHARE = 400.0, 0.4
+# A second pattern turns at least this much as fast as the first; below lie surge's own harmonics.
+SLOWEST_PATTERN = 0.4
+# Harmonics of the cells are this wide; the background of a line is the median over so much.
+NEAR_CELLS_HZ, BACKGROUND_HZ = 3.0, 40.0
+# What three standard deviations leave to chance, shared by all lines that were looked at.
+CHANCE = 0.00135
+
+
+@dataclass(frozen=True)
+class RippleLine:
+    """A line of rotating stall beside those of the first pattern.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Where.
+    amplitude : float
+        Of ψ', while in stall.
+    height : float
+        Power over that of the spectrum around it.
+    frequency_stderr_hz : float
+        Of the frequency, by the length of the record and the height.
+    """
+
+    frequency_hz: float
+    amplitude: float
+    height: float
+    frequency_stderr_hz: float
+
+    @property
+    def amplitude_stderr(self) -> float:
+        """Standard error of the amplitude: the spectrum around the line moves it."""
+        return self.amplitude / float(np.sqrt(2.0 * self.height))
+
+
+def ripple_line(reading: RecordReading) -> RippleLine | None:
+    """Look for a second pattern of stall cells in the rake differences, which carry no surge.
+
+    Surge switches the known cells on and off: that leaves side lines in pairs, as far below a
+    harmonic of the cells as above it, and nearly as high. How unequal the pairs of this record are
+    is the null; a pattern of its own has no partner.
+
+    Parameters
+    ----------
+    reading : RecordReading
+        The record.
+    """
+    from scipy.ndimage import maximum_filter1d, median_filter
+    from scipy.stats import norm
+
+    signals, passes = reading.signals, reading.passes
+    rate_hz, cells_hz = 1.0 / passes.sample_period_s, 1.0 / passes.period_s
+    stalled = np.zeros(signals.inlet_K.size, dtype=np.bool_)
+    stalled[passes.row] = reading.in_stall
+    differences = [d for plane in (25, 31) for d in signals.cell_differences(plane)]
+    if not differences or np.count_nonzero(stalled) < 10.0 * passes.rows_of(passes.period_s):
+        return None
+    size = int(2 ** np.ceil(np.log2(2 * stalled.size)))
+    frequency = np.fft.rfftfreq(size, passes.sample_period_s)
+    step_hz = float(frequency[1])
+
+    def height_of(values: FloatArray) -> FloatArray:
+        quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
+        power = np.abs(np.fft.rfft(_held(quick, stalled), size)) ** 2
+        around = median_filter(power, max(3, round(BACKGROUND_HZ / step_hz) | 1))
+        return np.asarray(power / np.maximum(around, 1e-300))
+
+    height = np.mean([height_of(values) for values in differences], axis=0)
+    near = max(3, round(NEAR_CELLS_HZ / step_hz) | 1)
+    highest = maximum_filter1d(height, near)
+    harmonic = np.maximum(np.round(frequency / cells_hz), 1.0) * cells_hz
+    wanted = (frequency > SLOWEST_PATTERN * cells_hz) & (np.abs(frequency - harmonic) > near)
+    wanted &= frequency < min(HIGHEST_LINE_HZ, HIGHEST_SHARE * rate_hz)
+    peaks = np.flatnonzero(wanted & (height == highest))
+    if peaks.size < 2:
+        return None
+    partner = np.interp(2.0 * harmonic[peaks] - frequency[peaks], frequency, highest)
+    unequal = np.log(height[peaks] / partner)
+    middle = float(np.median(unequal))
+    spread = 1.4826 * float(np.median(np.abs(unequal - middle)))
+    alone = unequal > middle + spread * float(norm.isf(CHANCE / peaks.size))
+    # In noise the power over its median follows an exponential law.
+    loud = height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
+    found = peaks[alone & loud]
+    if not found.size:
+        return None
+    best = int(found[np.argmax(height[found])])
+    psi_p = np.nan_to_num(signals.coefficients(signals.planes())[1])
+    quick = _held(psi_p - period_average(psi_p, passes.period_s, rate_hz), stalled)
+    turn = np.exp(-2j * np.pi * frequency[best] * passes.sample_period_s * np.arange(quick.size))
+    amplitude = 2.0 * float(np.abs(quick @ turn)) / float(np.count_nonzero(stalled))
+    tall = float(height[best])
+    # The bound for a line in white noise: √6 / (2π T √(power ratio)).
+    spread_hz = float(np.sqrt(6.0 / tall)) * rate_hz / (2.0 * np.pi * quick.size)
+    return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
+
+
+def _held(quick: FloatArray, stalled: BoolArray) -> FloatArray:
+    """Return what is in stall; reversals are spikes whose comb would hide a line: held down."""
+    return np.where(stalled, np.clip(quick, *np.quantile(quick[stalled], [0.02, 0.98])), 0.0)
+
+
+def averaged_noise(readings: Sequence[RecordReading]) -> float:
+    """Return the measurement noise that the average of the fit leaves in ψ'.
+
+    The spectrum between the harmonics of the cells is taken as a + b f² (white noise, and that of
+    the flow's derivative) and seen through the average.
+
+    Parameters
+    ----------
+    readings : sequence of RecordReading
+        Of each record.
+    """
+    from scipy.optimize import nnls
+    from scipy.signal import welch
+
+    variances = []
+    for reading in readings:
+        passes = reading.passes
+        rate_hz, cells_s = 1.0 / passes.sample_period_s, passes.period_s
+        held = _held(passes.psi_p - passes.smooth(passes.psi_p, cells_s), reading.in_stall)
+        frequency, density = welch(held, rate_hz, nperseg=min(256, held.size))
+        density = density / max(float(np.mean(reading.in_stall)), 1e-9)
+        wanted = frequency > 0.2 * rate_hz
+        for harmonic in range(1, int(0.5 * rate_hz * cells_s) + 2):
+            wanted &= np.abs(frequency - harmonic / cells_s) > 2.0 * rate_hz / 256
+        if np.count_nonzero(wanted) < 8:
+            wanted = frequency > 0.2 * rate_hz
+        weight = 1.0 / density[wanted]
+        terms = np.column_stack([np.ones(frequency.size), (frequency / rate_hz) ** 2])
+        size, _ = nnls(terms[wanted] * weight[:, None], np.ones(weight.size))
+        passed = np.sinc(frequency * reading.spec.average_s) ** 2
+        variances.append(float(np.sum((terms @ size) * passed) * (frequency[1] - frequency[0])))
+    return float(np.sqrt(np.mean(variances)))
