@@ -115,13 +115,13 @@ def _features(signals: FloatArray, names: Sequence[str]) -> tuple[FloatArray, li
     spread = np.std(signals, axis=0)
     kept = np.flatnonzero(spread > 1e-9 * np.max(np.abs(signals), axis=0, initial=1e-300))
     z = (signals[:, kept] - signals[:, kept].mean(axis=0)) / spread[kept]
-    columns, labels = [*z.T], [names[k] for k in kept]
+    columns, labels = [*z.T], [names[int(k)] for k in kept]
     for i in range(z.shape[1]):
         columns.append(np.abs(z[:, i]))
-        labels.append(f"the size of {names[kept[i]]}")
+        labels.append(f"the size of {names[int(kept[i])]}")
         for j in range(i, z.shape[1]):
             columns.append(z[:, i] * z[:, j])
-            labels.append(f"{names[kept[i]]}·{names[kept[j]]}")
+            labels.append(f"{names[int(kept[i])]}·{names[int(kept[j])]}")
     if not columns:
         return np.zeros((signals.shape[0], 0)), []
     out = np.column_stack(columns)
