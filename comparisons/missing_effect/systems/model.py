@@ -33,7 +33,7 @@ class P:
         For example ``"kg"``; ``"1"`` without one.
     per_record : bool
         Whether each record has a value of its own, such as the bias of a sensor that was set up
-        again. A check record's is estimated from its first rows, with its start.
+        for it. A check record's is estimated from its first rows, with its start.
     """
 
     start: float
