@@ -109,13 +109,18 @@ class Null:
 
     @property
     def seen_from(self) -> float:
-        """Size from which on the effect is seen on this record."""
+        """Size that is beyond the null."""
         return FIRM * self.number_sd
+
+    @property
+    def decided_from(self) -> float:
+        """Size from which on the effect would hardly go unseen on this record."""
+        return max((FIRM + MORE) * self.number_sd, 0.5 * self.matters)
 
     @property
     def can_be_told(self) -> bool:
         """Whether an effect of a size that matters is seen."""
-        return (FIRM + MORE) * self.number_sd <= self.matters
+        return self.decided_from <= self.matters
 
     def beyond(self, share: float, number: float) -> bool:
         """Whether what an effect reads is beyond the null, and of a size that matters."""
