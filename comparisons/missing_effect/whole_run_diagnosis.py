@@ -15,7 +15,7 @@ from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.loading import reading_of, whole_data
+from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import (
     SIZE,
@@ -92,7 +92,7 @@ def diagnose_whole_runs(
     """
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
-    readings = [reading_of(record) for record in ordered]
+    readings = readings_of(ordered)
     data = whole_data(ordered, readings)
     line = _strongest_line(readings)
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
