@@ -139,7 +139,7 @@ class Limits:
             f"{self.trials} trials on these records:"
         )
         if self.whole_runs:
-            head = "Smallest effect that stands out of twins of these records (3 σ):"
+            head = "Smallest effect that stands out of twins of these records:"
         return (head, *table, *none, *((check,) if checked else ()))
 
     def to_json(self) -> dict[str, Any]:

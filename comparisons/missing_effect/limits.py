@@ -324,6 +324,7 @@ def _of_twins(diagnosis: Diagnosis, effects: Sequence[Effect]) -> Limits:
     never = {
         **{row.effect: row.why for row in diagnosis.untold},
         **diagnosis.unavailable,
+        **dict.fromkeys(diagnosis.tau_by_alias_s, "these records have it already"),
         **dict.fromkeys(diagnosis.names, "these records have it already"),
     }
     rows = []

@@ -21,7 +21,7 @@ from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FINE_STEPS", "is_whole", "load_data", "reading_of", "whole_data"]
+__all__ = ["FINE_STEPS", "is_whole", "load_data", "reading_of", "readings_of", "whole_data"]
 
 # Simulated at the sample step alone, the integration error of surge with harmonics reads as a
 # delay (research: distance 4 to 25 standard errors); at four steps to a sample none is left.
@@ -63,7 +63,7 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
     whole = all(map(is_whole, ordered))
     if whole:
-        data = whole_data(ordered, [reading_of(record) for record in ordered])
+        data = whole_data(ordered, readings_of(ordered))
     else:
         data = _joined([_segments(record) for record in ordered], [r.source for r in ordered])
     least = 4 * MINIMUM_SEGMENT_ROWS
@@ -80,6 +80,22 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
                 remedy="take a longer record or wider segments",
             )
     return data
+
+
+def readings_of(records: Sequence[CoefficientSeries]) -> list[RecordReading]:
+    """Read records of one machine, all with the longest average that one of them asks for.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        From raw counts.
+    """
+    readings = [reading_of(record) for record in records]
+    longest = max(readings, key=lambda one: one.spec.average_s).spec
+    return [
+        replace(one, spec=replace(one.spec, average_s=longest.average_s, guard_s=longest.guard_s))
+        for one in readings
+    ]
 
 
 def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:

@@ -15,7 +15,7 @@ from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.loading import reading_of, whole_data
+from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import (
     SIZE,
@@ -92,7 +92,7 @@ def diagnose_whole_runs(
     """
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
-    readings = [reading_of(record) for record in ordered]
+    readings = readings_of(ordered)
     data = whole_data(ordered, readings)
     line = _strongest_line(readings)
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
@@ -191,11 +191,13 @@ def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
         if null is None or null.can_be_told or not np.isfinite(null.matters):
             continue
         why = (
-            f"on twins of this record, which lack nothing, it reads up to {null.seen_from:.2g} "
-            f"{null.unit}, and {null.matters:.2g} would matter"
+            f"by twins of this record it is seen from {null.decided_from:.2g} {null.unit} on, and "
+            f"{null.matters:.2g} would matter"
         )
         found.append(
-            Untold(effect.name, why.replace(" 1,", ","), f"{effect.confirm}; {BETTER_RECORDS}")
+            Untold(
+                effect.name, why.replace(" 1 on,", " on,"), f"{effect.confirm}; {BETTER_RECORDS}"
+            )
         )
     return tuple(found)
 
@@ -206,8 +208,7 @@ def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
         null = nulls.by_effect.get(effect.name)
         if null is not None and null.can_be_told and np.isfinite(null.matters):
             name = "rms" if effect.name in SHAPED else effect.parameters[0].name
-            size = max(null.seen_from, 0.5 * null.matters)
-            found.append(Absent(effect.name, name, size, null.unit))
+            found.append(Absent(effect.name, name, null.decided_from, null.unit))
     return tuple(found)
 
 

@@ -10,6 +10,7 @@ what a fit takes for granted (the blend of the branches, guards, averages), whic
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.uncertainty import linear_columns
+from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = [
@@ -45,7 +47,7 @@ __all__ = [
     "weighed",
 ]
 
-N_TWINS = 20
+N_TWINS, FEWEST_TWINS = 20, 6
 # Standard deviations of the null beyond which an effect is there: three, a dozen names paid for.
 # With two more one of a size that matters is seen but in one record of fifty.
 FIRM, MORE = 3.7, 2.0
@@ -107,13 +109,18 @@ class Null:
 
     @property
     def seen_from(self) -> float:
-        """Size from which on the effect is seen on this record."""
+        """Size that is beyond the null."""
         return FIRM * self.number_sd
+
+    @property
+    def decided_from(self) -> float:
+        """Size from which on the effect would hardly go unseen on this record."""
+        return max((FIRM + MORE) * self.number_sd, 0.5 * self.matters)
 
     @property
     def can_be_told(self) -> bool:
         """Whether an effect of a size that matters is seen."""
-        return (FIRM + MORE) * self.number_sd <= self.matters
+        return self.decided_from <= self.matters
 
     def beyond(self, share: float, number: float) -> bool:
         """Whether what an effect reads is beyond the null, and of a size that matters."""
@@ -294,15 +301,18 @@ def nulls_of(
 
     measured, over_twins = [], []
     for _ in progress(range(n_twins)):
-        measured.append([one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)])
-        over_twins.append(read(measured[-1], effects))
-    left_rms = float(np.mean(rms))
+        # A twin that no longer surges is none of the record's; where most are, nothing is known.
+        with suppress(InputError):
+            again = [one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)]
+            over_twins.append(read(again, effects))
+            measured.append(again)
+    left_rms = float(np.mean(rms)) if rms else float("nan")
     varied = zip(*(one.varied() for one in readings), strict=True)
     over_specs = [read(others, effects) for others in varied]
-    wrong = [
-        read([one.with_inertia(INERTIA_FACTOR) for one in others], effects)
-        for others in measured[:INERTIA_TWINS]
-    ]
+    wrong: list[Read] = []
+    for others in measured[:INERTIA_TWINS]:
+        with suppress(InputError):
+            wrong.append(read([one.with_inertia(INERTIA_FACTOR) for one in others], effects))
     by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, wrong) for e in effects}
     return Nulls(by_effect, left_rms)
 
@@ -325,7 +335,7 @@ def _null(
         matters, unit = MATTERS_OF_PSI_P * mean_psi_p, "1"
     if effect.name == "bias_drift":
         matters *= mean_psi_p
-    if len(read) < 2:
+    if len(read) < FEWEST_TWINS:
         return Null(np.inf, 0.0, 0.0, np.inf, matters, unit)
     mean, sd = read.mean(axis=0), read.std(axis=0, ddof=1)
     moved = [one[effect.name][1] for one in wrong if effect.name in one]
