@@ -10,14 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.linear_problem import Support
-
-if TYPE_CHECKING:
-    from sindy_surge.sparse_run import FreeRunEquations
 
 __all__ = ["Departure", "departure_from"]
 
