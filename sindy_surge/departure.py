@@ -20,7 +20,8 @@ __all__ = ["Departure", "departure_from"]
 
 # Gain is √(squared error saved / squared error of the parabola) over the free run. On 90 true
 # parabolas of machines drawn at random, gain · √(seconds scored) was 0.21 in the middle, 0.39 for
-# nine of ten and 0.46 for 95 % (on 46 fresh ones 4 exceeded it): the fewer passes, the more of their errors a term follows.
+# nine of ten and 0.46 for 95 %; of 46 fresh ones 4 exceeded it. The fewer passes, the more of their
+# errors a term follows.
 _GAIN_OF_A_SECOND = 0.47
 # Beyond a cubic, the gain of a kink where the truth is a cubic: 95 % below.
 _BEYOND_CUBIC = 0.54
