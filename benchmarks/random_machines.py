@@ -284,7 +284,8 @@ def shape_found(job: tuple[str, bool, bool, int], seed: int) -> dict[str, Any] |
         records = [series for series, _ in drawn]
         fit = fit_sparse_whole_runs(records)
         parabola = fit_sparse_whole_runs(records, max_terms=3)
-    except InputError:
+    except (InputError, ZeroDivisionError):
+        # A plant that diverges, or two speeds drawn with unlike sample rates.
         return None
     found = fit.departure_
     if found is None or not math.isfinite(fit.time_constant_s_):

@@ -150,13 +150,10 @@ def best_of_each_size(linear: LinearProblem, proposed: list[Support]) -> list[Su
     return [best[size] for size in sorted(best)]
 
 
-def climb(trials: Trials, ladder: list[Support], start: int = 0) -> Support:
-    """Go up a ladder of structures as long as that pays on what is left out, else down."""
-    chosen = ladder[start]
-    for rung in ladder[start + 1 :]:
-        if pays(trials, chosen, rung):
-            chosen = rung
-    for rung in ladder[:start][::-1] if chosen == ladder[start] else []:
+def climb(trials: Trials, ladder: list[Support]) -> Support:
+    """Go up a ladder of structures as long as that pays on what is left out."""
+    chosen = ladder[0]
+    for rung in ladder[1:]:
         if pays(trials, chosen, rung):
             chosen = rung
     trials.error(chosen)

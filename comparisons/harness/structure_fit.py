@@ -135,11 +135,11 @@ def find_structure(
         When the records do not go together, or there is nothing to fit.
     """
     given = {} if n_bootstrap is None else {"n_bootstrap": n_bootstrap}
-    settings: dict[str, Any] = {"hold": "first", "optimizer": "SSR", "max_terms": max_terms}
+    settings: dict[str, Any] = {"hold": "first", "max_terms": max_terms}
     needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
     whole, reason = _whole_or_rows(records, needs)
     if whole:
-        run = fit_sparse_whole_runs(records, hold="first", max_terms=max_terms)
+        run = fit_sparse_whole_runs(records, **settings)
         inputs, scored = run.stacked()
         phi, psi_p, n_runs = inputs.phi[scored], inputs.psi_p[scored], len(run.rows_)
         return FoundStructure(
@@ -147,7 +147,7 @@ def find_structure(
         )
     from sindy_surge import SparseLagRegressor
 
-    settings |= {"psi_terms": True, "random_state": 0, **given}
+    settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}
     stacked = stack_rows(records)
     fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)
     fit.fit(stacked.X, stacked.measured, segments=stacked.labels)

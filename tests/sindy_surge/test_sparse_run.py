@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from sindy_surge import FitState
+from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.segments import Segments
-from sindy_surge.sparse_run import FreeRunEquations, SparseRun, select_on_free_run
+from sindy_surge.sparse_run import SparseRun, select_on_free_run
 
 from .conftest import PERIOD_S, TAU_S, lag
 
