@@ -145,13 +145,13 @@ def _slots(structure: Structure, probe: Probe) -> FloatArray:
 def favoured_metric(bench: Bench, raw_fits: dict[Probe, Fit]) -> Metric:
     """Return the metric of the errors of the candidate that held-out rows favour.
 
-    By its likelihood on the rows fitted the most flexible wins, whatever comes after; and by the
-    likelihood in the metric of its own errors a model that is far off, but smoothly.
+    By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
     """
     good = [bench.fit, *[fit for fit in raw_fits.values() if not fit.failed]]
 
     def held_out(fit: Fit) -> float:
-        later = settled(fit, bench.later, bench.raw)
-        return np.inf if later.failed else -bench.raw.log_likelihood(later.errors)
+        own = metric_of(fit.errors)
+        later = settled(fit, bench.later, own)
+        return -np.inf if later.failed else own.log_likelihood(later.errors)
 
-    return metric_of(min(good, key=held_out).errors)
+    return metric_of(max(good, key=held_out).errors)

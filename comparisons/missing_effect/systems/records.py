@@ -21,7 +21,7 @@ __all__ = ["Records", "check_run", "runs_of"]
 FITTED_SHARE = 2.0 / 3.0
 # Rows that are fitted and held out while structures are compared, all records together: what a
 # round of sixty candidates takes well under a minute for. The parameters come from all rows.
-MOST_FITTED, MOST_HELD_OUT = 5_000, 2_500
+MOST_FITTED, MOST_HELD_OUT = 8_000, 4_000
 FEWEST_HELD_OUT = 40
 # Of a training record: its last third must be a stretch that can be simulated.
 FEWEST_ROWS = 3 * FEWEST_HELD_OUT
