@@ -106,12 +106,12 @@ def test_a_pair_shows_the_flow_that_its_pressures_were_made_of(gamma: float) -> 
     np.testing.assert_array_equal(found[seen == 0.0], 0.0)
 
 
-def averages(probes: str = "all", drop: tuple[str, ...] = ()) -> tuple[Record, Record]:
+def averages(drop: tuple[str, ...] = ()) -> tuple[Record, Record]:
     """Local flows and plane averages of a small test in pascal and kelvin, given as they are."""
     record, test = make_test(seconds=0.6, quantise=False).load()
     record = calibrate(record, test)
     local = local_flows(record.without(drop), test)
-    return local, plane_averages(local, test, probes)
+    return local, plane_averages(local, test)
 
 
 def test_plane_averages_are_the_plain_mean_of_the_four_pairs() -> None:

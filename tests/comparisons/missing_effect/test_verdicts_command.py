@@ -26,7 +26,7 @@ CASES: dict[str, tuple[str, str | None, list[list[str]], dict[str, Any]]] = {
         {"strength": 1.5},
     ),
     # Outside the catalogue: no name may be firm.
-    "provisional": ("provisional", "second_slow_mode", [], {"strength": 3.0, "seed": 1}),
+    "provisional": ("provisional", "sensor_quadratic", [], {"strength": 3.0, "seed": 2}),
     "unnamed": ("unnamed_term", "sensor_quadratic", [], {"strength": 3.0, "seed": 1}),
     "unexplained": ("unexplained_structure", "amplitude_memory", [], {"strength": 3.0, "seed": 1}),
     "coloured": ("noise_model_wrong", None, [], {"noise": "ar1"}),
