@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.missing_effect.quantities import chance, model_equation, open_words
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows
+from comparisons.missing_effect.where_words import describe
 from comparisons.missing_effect.words import (
     noise_words,
     opening_words,
@@ -142,7 +143,7 @@ def diagnosis_text(
     d : Diagnosis
         The diagnosis.
     where : Where or None
-        Of the model before; None where the records are too short to tell.
+        Of the models before and after; None where the records are too short to tell.
     limits, separation : object, optional
         With ``lines``: what would have been named, and what would tell an alias set apart.
     """
@@ -151,8 +152,8 @@ def diagnosis_text(
     lines += ["Model", *_wrapped(f"  before: {model_equation(d.before)}", "    ")]
     if d.after.structure.effects:
         lines += _wrapped(f"  after:  {model_equation(d.after)}", "    ")
-    lines += ["", "Where the model before and the measurement part"]
-    listed = where.words if where is not None else (TOO_SHORT,)
+    lines += ["", "Where the model and the measurement part"]
+    listed = (TOO_SHORT,) if where is None else describe(where, two=bool(d.missing))
     lines += [line for words in listed for line in _wrapped(f"  {words}", "    ")]
     if d.verdict != "noise_model_wrong":
         lines += ["", *_wrapped(noise_words(d))]

@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.missing_effect.systems.shown import fate_of, scale_of
+from comparisons.missing_effect.scales import scale_of
+from comparisons.missing_effect.systems.shown import fate_of
 from comparisons.missing_effect.systems.words import (
     number_words,
     plain_name,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.missing_effect.systems.shown import scale_of
+from comparisons.missing_effect.scales import scale_of
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
