@@ -170,7 +170,7 @@ def floor_density(
 def log_bands(
     frequency_hz: FloatArray, resolution_hz: float
 ) -> list[tuple[float, float, BoolArray]]:
-    """Return bands that widen by a factor each, none narrower than what can be told.
+    """Return bands that widen by a factor each, none narrower than the resolution.
 
     Parameters
     ----------
