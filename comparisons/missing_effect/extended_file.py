@@ -104,7 +104,7 @@ def extended_from_json(data: Mapping[str, Any], where: str = "model") -> Extende
     Parameters
     ----------
     data : mapping
-        What :meth:`ExtendedLag.to_json` gave.
+        What ``ExtendedLag.to_json`` gave.
     where : str
         File and key of the model, for errors.
 
