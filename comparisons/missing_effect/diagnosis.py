@@ -102,7 +102,7 @@ def diagnose(
     if most_effects < 1:
         raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
     if records and all(map(is_whole, records)):
-        return diagnose_whole_runs(
+        found = diagnose_whole_runs(
             records,
             base,
             catalogue=catalogue,
@@ -110,6 +110,7 @@ def diagnose(
             n_twins=n_twins,
             progress=progress,
         )
+        return replace(found, catalogue=tuple(catalogue))
     return diagnose_data(load_data(records), base, catalogue=catalogue, most_effects=most_effects)
 
 
@@ -153,7 +154,8 @@ def diagnose_data(
     final = rounds[-1].bench if rounds[-1].winner is None else bench
     if len(found) > 1:
         final, rounds = _pruned(final, rounds, effects, open_library)
-    return _concluded(base, final, rounds, effects, unavailable)
+    found_all = _concluded(base, final, rounds, effects, unavailable)
+    return replace(found_all, catalogue=tuple(catalogue))
 
 
 def _pruned(

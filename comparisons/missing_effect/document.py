@@ -16,7 +16,7 @@ from comparisons.missing_effect.shown import (
     tau_before_stderr_s,
 )
 from comparisons.missing_effect.where_rows import PANELS
-from comparisons.missing_effect.words import verdict_words
+from comparisons.missing_effect.words import doubts_of, label_of, verdict_words
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis, MissingEffect
@@ -105,8 +105,12 @@ def _missing(d: Diagnosis, item: MissingEffect) -> dict[str, Any]:
     contribution = {part.effect: part.rms for part in contributions(d)}
     return {
         "effect": item.effect,
+        "label": label_of(effect),
+        "place": {"port": effect.port},
         "alias_set": list(item.alias_set),
+        "alias_labels": [label_of(effect_of(d, name)) for name in item.alias_set],
         "provisional": bool(item.provisional),
+        "doubts": list(doubts_of(d, item)),
         "parameters": [asdict(parameter) for parameter in item.parameters],
         "evidence": {name: float(value) for name, value in item.evidence.items()},
         "port": effect.port,

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
 from comparisons.missing_effect.extended_lag import ExtendedLag
-from comparisons.missing_effect.extended_parts import REVERSE, SHAPE
+from comparisons.missing_effect.extended_parts import REVERSE, SHAPE, rows_in
 from comparisons.missing_effect.extended_refit import refitted
-from comparisons.missing_effect.extended_rows import rows_in
 from comparisons.results import FitRows
 from surge_core.types import FloatArray
 

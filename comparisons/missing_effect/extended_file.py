@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from comparisons.harness.saved_models import (
     NULLABLE,
@@ -21,9 +21,9 @@ from comparisons.harness.saved_models import (
     read_models,
     write_models,
 )
-from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
+from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.effect import Parameter
+from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
@@ -50,11 +50,13 @@ EXTENDED_FORMAT = ModelFormat(
 )
 # More than any record can tell, and few enough to be evaluated.
 MOST_TERMS, MOST_INTERVALS = 40, 64
-_NAMES = tuple(effect.name for effect in CATALOGUE if effect.port != "noise")
 
 
 def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     """Write lag models with effects as JSON, whole or not at all.
+
+    An effect is written by its name; one of a catalogue of one's own is found again by
+    ``load_extended(path, catalogue=…)``.
 
     Parameters
     ----------
@@ -66,21 +68,25 @@ def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     write_models(models, path, EXTENDED_FORMAT)
 
 
-def load_extended(path: str | Path) -> dict[str, ExtendedLag]:
+def load_extended(
+    path: str | Path, catalogue: Sequence[Effect] = CATALOGUE
+) -> dict[str, ExtendedLag]:
     """Read models that :func:`save_extended` wrote; the file is data, nothing in it is executed.
 
     Parameters
     ----------
     path : str or path
         The file.
+    catalogue : sequence of Effect
+        Effects that the file may name.
 
     Raises
     ------
     InputError
-        When it is missing or is not such a file.
+        When it is missing, is not such a file, or names an effect of another catalogue.
     """
     saved = read_models(path, EXTENDED_FORMAT, _SavedExtended)
-    return {name: entry.model() for name, entry in saved.items()}
+    return {name: entry.model(f"{path}: models.{name}", catalogue) for name, entry in saved.items()}
 
 
 def is_extended_file(path: str | Path) -> bool:
@@ -98,7 +104,9 @@ def is_extended_file(path: str | Path) -> bool:
         return False
 
 
-def extended_from_json(data: Mapping[str, Any], where: str = "model") -> ExtendedLag:
+def extended_from_json(
+    data: Mapping[str, Any], where: str = "model", catalogue: Sequence[Effect] = CATALOGUE
+) -> ExtendedLag:
     """Build a model from plain JSON types.
 
     Parameters
@@ -107,13 +115,15 @@ def extended_from_json(data: Mapping[str, Any], where: str = "model") -> Extende
         What ``ExtendedLag.to_json`` gave.
     where : str
         File and key of the model, for errors.
+    catalogue : sequence of Effect
+        Effects that it may name.
 
     Raises
     ------
     InputError
         Naming the key that cannot be used.
     """
-    return validated(_SavedExtended, data, where).model()
+    return validated(_SavedExtended, data, where).model(where, catalogue)
 
 
 class _SavedParameter(Saved):
@@ -124,34 +134,41 @@ class _SavedParameter(Saved):
 
 
 class _SavedEffect(Saved):
-    effect: Literal[_NAMES] = Field(description="an effect of the catalogue")  # type: ignore[valid-type]
+    effect: str
     parameters: list[_SavedParameter]
     coefficients: list[float]
 
-    @model_validator(mode="after")
-    def _known(self) -> _SavedEffect:
-        found = [(row.name, row.unit) for row in self.parameters]
-        own = [(p.name, p.unit) for p in find_effect(self.effect).parameters]
+    def added(self, where: str, terms: Sequence[str], catalogue: Sequence[Effect]) -> AddedEffect:
+        """Return the effect with its numbers, refused where they are not its own."""
+        known = {effect.name: effect for effect in catalogue if effect.port != "noise"}
+        if self.effect not in known:
+            raise InputError(
+                f"{where}.effect",
+                expected=f"one of {', '.join(known)}",
+                found=f"'{self.effect}'",
+                remedy="an effect of your own is read by load_extended(path, catalogue=…)",
+            )
+        effect = known[self.effect]
+        found = ", ".join(f"{row.name} [{row.unit}]" for row in self.parameters)
+        own = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
         if found != own:
-            raise InputError("parameters", expected=_listed(own), found=_listed(found))
-        for number, (row, parameter) in enumerate(zip(self.parameters, self.own, strict=True), 1):
-            _check_value(f"parameters[{number}].value", parameter, row.value, self.added.acts)
-        return self
-
-    @property
-    def own(self) -> tuple[Parameter, ...]:
-        """The parameters of the catalogue."""
-        return find_effect(self.effect).parameters
-
-    @property
-    def added(self) -> AddedEffect:
-        """The effect with its numbers."""
-        return AddedEffect(
-            self.effect,
+            raise InputError(f"{where}.parameters", expected=own, found=found)
+        added = AddedEffect(
+            effect,
             tuple(row.value for row in self.parameters),
             tuple(row.stderr for row in self.parameters),
             tuple(self.coefficients),
         )
+        for number, (row, p) in enumerate(zip(self.parameters, effect.parameters, strict=True), 1):
+            _check_value(f"{where}.parameters[{number}].value", p, row.value, added.acts)
+        allowed = _column_counts(where, added, terms)
+        if len(self.coefficients) not in allowed:
+            raise InputError(
+                f"{where}.coefficients",
+                expected=f"{' or '.join(map(str, allowed))} of {added.name}",
+                found=str(len(self.coefficients)),
+            )
+        return added
 
 
 class _SavedReferences(Saved):
@@ -176,32 +193,25 @@ class _SavedExtended(SavedModel):
     references: _SavedReferences
     noise: _SavedNoise
 
-    @model_validator(mode="after")
-    def _whole(self) -> _SavedExtended:
-        names = tuple(term.name for term in self.terms)
-        for number, name in enumerate(names, 1):
-            if not is_known_term(name):
-                raise InputError(
-                    f"terms[{number}].name",
-                    expected="a power of φ or another known term",
-                    found=f"'{name}'",
-                )
-        if not 0 < len(names) <= MOST_TERMS or len(set(names)) < len(names):
-            raise InputError(
-                "terms", expected=f"1 to {MOST_TERMS} terms, each once", found=", ".join(names)
-            )
-        effects = [entry.effect for entry in self.effects]
-        if len(set(effects)) < len(effects):
-            raise InputError("effects", expected="each once", found=", ".join(effects))
-        for number, entry in enumerate(self.effects, 1):
-            _check_coefficients(f"effects[{number}]", entry.added, names)
-        return self
-
-    def model(self) -> ExtendedLag:
+    def model(self, where: str, catalogue: Sequence[Effect]) -> ExtendedLag:
         """Return the model as a value."""
+        names = tuple(term.name for term in self.terms)
+        _check_names(f"{where}.terms", names, MOST_TERMS)
+        unknown = [name for name in names if not is_known_term(name)]
+        if unknown:
+            raise InputError(
+                f"{where}.terms",
+                expected="powers of φ or other known terms",
+                found=f"'{unknown[0]}'",
+            )
+        if self.effects:
+            _check_names(f"{where}.effects", [e.effect for e in self.effects], MOST_EFFECTS)
         return ExtendedLag(
             time_constant_s=self.time_constant_s,
-            effects=tuple(entry.added for entry in self.effects),
+            effects=tuple(
+                entry.added(f"{where}.effects[{number}]", names, catalogue)
+                for number, entry in enumerate(self.effects, 1)
+            ),
             references=FrozenReferences(**dict(self.references)),
             noise_sigma=self.noise.sigma,
             noise_innovation=self.noise.innovation,
@@ -211,36 +221,25 @@ class _SavedExtended(SavedModel):
         )
 
 
-def _listed(parameters: list[tuple[str, str]]) -> str:
-    return ", ".join(f"{name} [{unit}]" for name, unit in parameters)
+def _check_names(where: str, names: Sequence[str], most: int) -> None:
+    if not 0 < len(names) <= most or len(set(names)) < len(names):
+        raise InputError(
+            where, expected=f"1 to {most} names, each once", found=", ".join(names) or "none"
+        )
 
 
 def _check_value(where: str, parameter: Parameter, value: float, acts: bool) -> None:
     # What was added and not fitted yet has no shape.
     if math.isnan(value) and not acts:
         return
-    low, high = (
-        (1.0, MOST_INTERVALS - 1.0)
-        if parameter.name == "intervals"
-        else (parameter.low, parameter.high)
-    )
-    whole = parameter.name != "intervals" or value.is_integer()
-    if not (low <= value <= high and whole):
+    counts = parameter.name == "intervals"
+    low, high = (1.0, MOST_INTERVALS - 1.0) if counts else (parameter.low, parameter.high)
+    if not (low <= value <= high and (value.is_integer() or not counts)):
         found = "null" if math.isnan(value) else f"{value:g}"
         raise InputError(where, expected=f"{parameter.name} from {low:g} to {high:g}", found=found)
 
 
-def _check_coefficients(where: str, added: AddedEffect, terms: tuple[str, ...]) -> None:
-    allowed = _column_counts(where, added, terms)
-    if len(added.coefficients) not in allowed:
-        raise InputError(
-            f"{where}.coefficients",
-            expected=f"{' or '.join(map(str, allowed))} of {added.name}",
-            found=str(len(added.coefficients)),
-        )
-
-
-def _column_counts(where: str, added: AddedEffect, terms: tuple[str, ...]) -> tuple[int, ...]:
+def _column_counts(where: str, added: AddedEffect, terms: Sequence[str]) -> tuple[int, ...]:
     """Return how many coefficients an effect may have; none where it was not fitted yet."""
     if not added.effect.linear or added.effect.episodes:
         return (0,)

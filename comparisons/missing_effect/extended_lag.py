@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
-from comparisons.missing_effect.effect import Effect, FittedParameter
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
+    BENDING,
     MOST_EFFECTS,
-    REFERENCES,
     REVERSE,
     SHAPE,
     AddedEffect,
     FrozenReferences,
     finite,
     n_powers,
+    rows_in,
 )
-from comparisons.missing_effect.extended_rows import row_of_sample, rows_in, segment_data
 from comparisons.missing_effect.extended_run import FreeRun
-from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import Structure
 from comparisons.results import FitRows, evaluate_terms
@@ -35,7 +35,7 @@ from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
 from surge_core.rounding import bracketed, round_to_error, significant
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["AddedEffect", "ExtendedLag", "FrozenReferences", "curve_columns"]
 
@@ -113,15 +113,15 @@ class ExtendedLag(Displayed):
         Parameters
         ----------
         effect : Effect or str
-            An effect of the catalogue.
+            An effect, or the name of one of the built-in catalogue.
 
         Raises
         ------
         InputError
-            For an effect that is unknown, is there already, acts on no port of a model, or would
-            be the fourth.
+            For a name that is unknown, and for an effect that is there already, acts on no port
+            of a model, or would be the fourth.
         """
-        found = find_effect(effect if isinstance(effect, str) else effect.name)
+        found = find_effect(effect) if isinstance(effect, str) else effect
         if found.port == "noise":
             raise InputError("effect", expected="one that acts on the model", found=found.name)
         if found.name in {added.name for added in self.effects}:
@@ -132,27 +132,11 @@ class ExtendedLag(Displayed):
                 expected=f"at most {MOST_EFFECTS} effects",
                 found=f"one more: {found.name}",
             )
-        return replace(self, effects=(*self.effects, AddedEffect.neutral(found)))
-
-    def fit_on(self, data: LagData) -> Fit:
-        """Return the model as the engine runs it on rows that stand in its references.
-
-        Parameters
-        ----------
-        data : LagData
-            What :meth:`FrozenReferences.on` gave.
-        """
-        acting = [added for added in self.effects if added.acts]
-        structure = Structure(self.terms, tuple(added.effect for added in acting))
-        nonlinear = np.concatenate(
-            [[np.log(self.time_constant_s)], *[added.nonlinear for added in acting]]
+        # Amplitude 0, and a shape that is not known yet.
+        unknown = (math.nan,) * len(found.parameters)
+        return replace(
+            self, effects=(*self.effects, AddedEffect(found, (0.0, *unknown[1:]), unknown))
         )
-        groups = CoefficientGroups(
-            np.asarray(self.coefficients),
-            {added.name: np.asarray(added.coefficients) for added in acting if added.coefficients},
-            np.zeros(0),
-        )
-        return assembled_fit(structure, data, nonlinear, groups)
 
     def simulate(
         self,
@@ -195,7 +179,7 @@ class ExtendedLag(Displayed):
         out[run.at[run.scored]] = values[run.scored]
         return out
 
-    def one_step(self, record: CoefficientSeries) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def one_step(self, record: CoefficientSeries) -> tuple[FloatArray, BoolArray]:
         """Predict each row of a record from the measured row before it.
 
         Parameters
@@ -226,16 +210,28 @@ class ExtendedLag(Displayed):
                     expected=f"the column {needed}, which {added.name} needs",
                     found="none",
                 )
-        plain = segment_data(record)
+        # The rows of its segments, whatever unfiltered columns it carries beside them.
+        filtered = replace(
+            record, phi_unfiltered=None, psi_p_unfiltered=None, stalled=None, free_run=None
+        )
+        plain = load_data([filtered])
         data = self.references.on(plain)
-        fit = self.fit_on(data)
-        return FreeRun(data, fit, row_of_sample(plain, record))
+        acting = [added for added in self.effects if added.acts]
+        nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
+        groups = CoefficientGroups(
+            np.asarray(self.coefficients),
+            {added.name: np.asarray(added.coefficients) for added in acting if added.coefficients},
+            np.zeros(0),
+        )
+        structure = Structure(self.terms, tuple(added.effect for added in acting))
+        fit = assembled_fit(structure, data, np.concatenate(nonlinear), groups)
+        return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
 
     def free_run_over(
         self,
         rows: FitRows,
         records: Sequence[CoefficientSeries],
-        labels: NDArray[np.int64] | None = None,
+        labels: IntArray | None = None,
     ) -> FloatArray:
         """Reconstruct the rows that a comparison fits, each segment from its measured start.
 
@@ -259,7 +255,7 @@ class ExtendedLag(Displayed):
 
     def one_step_over(
         self, rows: FitRows, records: Sequence[CoefficientSeries]
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Predict each row of a comparison from the row before it, and tell which are predicted.
 
         Parameters
@@ -290,7 +286,7 @@ class ExtendedLag(Displayed):
         """Return the names of all that is a function of φ alone, and one coefficient a column."""
         names, values = list(self.terms), list(self.coefficients)
         for added in self.effects:
-            if added.name in (REVERSE, SHAPE) and added.acts:
+            if added.name in BENDING and added.acts:
                 names.append(added.name)
                 values += added.coefficients
         return tuple(names), np.array(values)
@@ -323,7 +319,7 @@ class ExtendedLag(Displayed):
             ],
             "effects": [added.to_json() for added in self.effects],
             "references": {
-                **{name: getattr(self.references, name) for name in REFERENCES},
+                **vars(self.references),
                 "phi_range": list(self.references.phi_range),
             },
             "noise": {
@@ -343,11 +339,14 @@ class ExtendedLag(Displayed):
             for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
         )
         effects = tuple(
-            (added.name, equation_of(added.effect), symbol(p.name), quantity(value, error, p.unit))
-            for added in self.effects
-            for p, value, error in zip(
-                added.effect.parameters, added.values, added.stderr, strict=True
+            (
+                added.name,
+                equation_of(added.effect),
+                symbol(p.name),
+                quantity(p.value, p.stderr, p.unit),
             )
+            for added in self.effects
+            for p in added.numbers
         )
         header = ("effect", "adds", "number", "value")
         grids = [Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), terms)]
@@ -396,7 +395,5 @@ def _term(name: str, value: float, stderr: float) -> str:
 def _numbers(added: AddedEffect) -> str:
     if not added.fitted:
         return "not fitted"
-    rows = zip(added.effect.parameters, added.values, added.stderr, strict=True)
-    numbers = [FittedParameter(p.name, value, stderr, p.unit) for p, value, stderr in rows]
-    text = numbers_of(added.name, numbers)
+    text = numbers_of(added.name, added.numbers)
     return f"{text} (not simulated: phase unknown)" if added.effect.episodes else text

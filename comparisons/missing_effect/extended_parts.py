@@ -9,32 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue import find_effect
+from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.lag_data import LagData
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = [
+    "BENDING",
     "MOST_EFFECTS",
-    "REFERENCES",
     "REVERSE",
     "SHAPE",
     "AddedEffect",
     "FrozenReferences",
     "finite",
     "n_powers",
+    "rows_in",
 ]
 
 # Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
-REVERSE, SHAPE = "reverse_flow_branch", "characteristic_shape"
-REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")
-
-
-def finite(value: float) -> float | None:
-    """Return a number for JSON, None where it is not known."""
-    return float(value) if math.isfinite(value) else None
+# Effects that are functions of φ alone, and so bend the characteristic.
+REVERSE, SHAPE = BENDING = ("reverse_flow_branch", "characteristic_shape")
 
 
 @dataclass(frozen=True)
@@ -43,31 +39,25 @@ class AddedEffect:
 
     Parameters
     ----------
-    name : str
-        Identifier in the catalogue.
+    effect : Effect
+        Of the built-in catalogue, or one's own.
     values, stderr : tuple of float
-        Its parameters in the order and units of the catalogue, and their standard errors; NaN
-        where the effect was added and not fitted yet.
+        Its parameters in their order and units, and their standard errors; NaN where the effect
+        was added and not fitted yet.
     coefficients : tuple of float
         Of the columns that it adds; empty for an effect without any, and for a ripple, whose
         phases belong to the episodes that it was fitted to.
     """
 
-    name: str
+    effect: Effect
     values: tuple[float, ...]
     stderr: tuple[float, ...]
     coefficients: tuple[float, ...] = ()
 
-    @classmethod
-    def neutral(cls, effect: Effect) -> AddedEffect:
-        """Return an effect that is not there yet: amplitude 0, its shape unknown."""
-        unknown = (np.nan,) * (len(effect.parameters) - 1)
-        return cls(effect.name, (0.0, *unknown), (np.nan,) * len(effect.parameters))
-
     @property
-    def effect(self) -> Effect:
-        """The effect in the catalogue."""
-        return find_effect(self.name)
+    def name(self) -> str:
+        """Its identifier."""
+        return self.effect.name
 
     @property
     def nonlinear(self) -> FloatArray:
@@ -87,15 +77,25 @@ class AddedEffect:
         """Whether its numbers come from a fit."""
         return bool(np.all(np.isfinite((*self.values, *self.stderr))))
 
+    @property
+    def numbers(self) -> tuple[FittedParameter, ...]:
+        """Its numbers with names and units."""
+        rows = zip(self.effect.parameters, self.values, self.stderr, strict=True)
+        return tuple(FittedParameter(p.name, value, error, p.unit) for p, value, error in rows)
+
     def to_json(self) -> dict[str, Any]:
         """Return the value as plain JSON types."""
-        rows = zip(self.effect.parameters, self.values, self.stderr, strict=True)
         return {
             "effect": self.name,
             "equation": self.effect.equation,
             "parameters": [
-                {"name": p.name, "value": finite(value), "stderr": finite(stderr), "unit": p.unit}
-                for p, value, stderr in rows
+                {
+                    "name": p.name,
+                    "value": finite(p.value),
+                    "stderr": finite(p.stderr),
+                    "unit": p.unit,
+                }
+                for p in self.numbers
             ],
             "coefficients": list(self.coefficients),
         }
@@ -134,19 +134,31 @@ class FrozenReferences:
 
     def on(self, data: LagData) -> LagData:
         """Return rows in which every effect is measured from these references."""
-        signals = {**data.signals, "time_s": data["time_s"] - self.clock_zero_s}
-        return replace(
-            data,
-            signals=signals,
-            mean_amplitude=self.mean_amplitude,
-            mean_amplitude_as_is=self.mean_amplitude_as_is,
-            mean_speed=self.mean_speed,
-            phi_range=self.phi_range,
-            origin_s=0.0,
-        )
+        kept = {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
+        data = data.with_signal("time_s", data["time_s"] - self.clock_zero_s)
+        return replace(data, origin_s=0.0, **kept)
+
+
+def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
+    """Return the rows of a record at given times of its clock, of shape (n,).
+
+    Parameters
+    ----------
+    record : CoefficientSeries
+        The record.
+    time_s : ndarray of shape (n,)
+        Times of some of its rows, in seconds.
+    """
+    at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)
+    return np.asarray(at.astype(np.int64))
 
 
 def n_powers(terms: Sequence[str]) -> int:
     """Return how many powers of φ, from the constant on without a gap, are among the terms."""
     powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
     return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is not known."""
+    return float(value) if math.isfinite(value) else None

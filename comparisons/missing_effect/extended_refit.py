@@ -10,22 +10,21 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.catalogue import CATALOGUE
-from comparisons.missing_effect.coefficient_groups import coefficient_groups, refitted_on
-from comparisons.missing_effect.diagnosis import Diagnosis, FittedParameter
+from comparisons.missing_effect.coefficient_groups import (
+    CoefficientGroups,
+    coefficient_groups,
+    refitted_on,
+)
+from comparisons.missing_effect.diagnosis import Diagnosis
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
-from comparisons.missing_effect.extended_parts import (
-    REVERSE,
-    SHAPE,
-    AddedEffect,
-    FrozenReferences,
-)
-from comparisons.missing_effect.extended_rows import fitted_data
+from comparisons.missing_effect.extended_parts import BENDING, AddedEffect, FrozenReferences
 from comparisons.missing_effect.fit import Fit, fit_structure
-from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel, weights_of
+from comparisons.missing_effect.noise import weights_of
 from comparisons.missing_effect.probes import Prober
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.uncertainty import (
@@ -90,7 +89,7 @@ def refitted(
     InputError
         When the records hold too few rows or lack a channel that an effect needs.
     """
-    data = fitted_data(records, until_s)
+    data = _fitted_data(records, until_s)
     for added in model.effects:
         missing = added.effect.missing_channel(data)
         if missing is not None:
@@ -100,8 +99,12 @@ def refitted(
                 found=f"some without: it {missing}",
             )
     plain = Metric(model.noise_sigma)
-    known = [added for added in model.effects if _starts_where_it_was(added)]
-    fit = _known_part(model, known, data, plain)
+    # The frequency of a ripple is known to one part in the length of a record, and beyond that a
+    # search that begins beside it finds another line.
+    known = [added for added in model.effects if added.fitted and not added.effect.episodes]
+    structure = Structure(model.terms, tuple(added.effect for added in known))
+    start = [np.log([model.time_constant_s]), *(added.nonlinear for added in known)]
+    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, plain)
     for added in model.effects:
         if added not in known:
             fit = _with_effect(fit, added, data, plain)
@@ -109,24 +112,22 @@ def refitted(
     # In the order in which they were added, whatever order they were searched in.
     parts = dict(zip(fit.structure.names, fit.structure.parts(fit.nonlinear), strict=True))
     structure = Structure(model.terms, tuple(added.effect for added in model.effects))
-    start = np.concatenate([fit.nonlinear[:1], *[parts[name] for name in structure.names]])
-    fit = refitted_on(Fit(structure, start, np.zeros(0), 0.0), data, metric)
+    start = [fit.nonlinear[:1], *(parts[name] for name in structure.names)]
+    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, metric)
     return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
 
 
-def _starts_where_it_was(added: AddedEffect) -> bool:
-    # The frequency of a ripple is known to one part in the length of a record, and beyond that
-    # a search that begins beside it finds another line.
-    return added.fitted and not added.effect.episodes
-
-
-def _known_part(
-    model: ExtendedLag, known: Sequence[AddedEffect], data: LagData, metric: Metric
-) -> Fit:
-    """Fit what had numbers before, from these."""
-    structure = Structure(model.terms, tuple(added.effect for added in known))
-    start = np.concatenate([[np.log(model.time_constant_s)], *[added.nonlinear for added in known]])
-    return refitted_on(Fit(structure, start, np.zeros(0), 0.0), data, metric)
+def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> LagData:
+    """Return the scored rows of records, all of them to be fitted."""
+    data = load_data(records)
+    data = replace(data, part=np.full(data.n_samples, TRAIN, dtype=np.int8))
+    if until_s is not None:
+        # The rows stand in the order of the records' clocks.
+        order = np.argsort([float(record.time_s[0]) for record in records], kind="stable")
+        end_s = np.asarray(until_s, dtype=np.float64)[order][data.record]
+        inside = data.sampled(data["time_s"]) <= end_s
+        data = replace(data, weight=data.weight * inside).up_to(inside)
+    return data.over_all_phi()
 
 
 def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) -> Fit:
@@ -143,7 +144,7 @@ def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) ->
 
 
 def _bench(fit: Fit, data: LagData, metric: Metric | None = None) -> Bench:
-    return Bench(data, fit, metric or Metric(), block_rows(data), len(CATALOGUE))
+    return Bench(data, fit, metric or Metric(), block_rows(data), 1)
 
 
 def _own_metric(bench: Bench) -> Metric:
@@ -179,12 +180,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
     linear = covariance[n_free:, n_free:]
     groups = coefficient_groups(fit, data)
-    effects = tuple(
-        _added(
-            effect.name, parameters[effect.name], groups.effects.get(effect.name), effect.episodes
-        )
-        for effect in fit.structure.effects
-    )
+    effects = tuple(_added(e, parameters[e.name], groups) for e in fit.structure.effects)
     stderr = np.sqrt(np.maximum(np.diag(linear)[:n_terms], 0.0))
     phi = data.sampled(data["phi"])[data.scored()]
     model = ExtendedLag(
@@ -195,7 +191,9 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
         tuple(stderr.tolist()),
         effects,
         FrozenReferences.of(data),
-        *_noise(noise),
+        noise.sigma,
+        noise.innovation,
+        noise.ar,
         trusted_range(phi),
         (),
         int(bench.rows.block.max()) + 1,
@@ -204,19 +202,11 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
 
 
 def _added(
-    name: str,
-    parameters: Sequence[FittedParameter],
-    coefficients: FloatArray | None,
-    episodes: bool,
+    effect: Effect, parameters: Sequence[FittedParameter], groups: CoefficientGroups
 ) -> AddedEffect:
-    kept = () if coefficients is None or episodes else tuple(coefficients.tolist())
-    return AddedEffect(
-        name, tuple(p.value for p in parameters), tuple(p.stderr for p in parameters), kept
-    )
-
-
-def _noise(noise: NoiseModel) -> tuple[float, float, tuple[float, ...]]:
-    return noise.sigma, noise.innovation, noise.ar
+    kept = () if effect.episodes else groups.effects.get(effect.name, ())
+    values, errors = zip(*((p.value, p.stderr) for p in parameters), strict=True)
+    return AddedEffect(effect, values, errors, tuple(map(float, kept)))
 
 
 def _table(
@@ -233,7 +223,7 @@ def _table(
             *[
                 np.arange(slices[added.name].start, slices[added.name].stop)
                 for added in model.effects
-                if added.name in (REVERSE, SHAPE) and added.acts
+                if added.name in BENDING and added.acts
             ],
         ]
     )

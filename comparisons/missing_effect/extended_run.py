@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["FreeRun"]
 
-Index = NDArray[np.int64]
+
 # The start of a lag of second order is read from so many of its short times, and rows at least.
 START_TIMES = 2.0
 LEAST_START_ROWS = 4
@@ -37,10 +36,10 @@ class FreeRun:
 
     data: LagData
     fit: Fit
-    at: Index
+    at: IntArray
 
     @property
-    def scored(self) -> NDArray[np.bool_]:
+    def scored(self) -> BoolArray:
         """Samples in a segment, beside those that lead to it."""
         return self.data.weight > 0.0
 
@@ -49,7 +48,7 @@ class FreeRun:
         """ψ' at every sample, each run from rest."""
         return self.fit.output(self.data)
 
-    def started(self, labels: NDArray[np.generic]) -> FloatArray:
+    def started(self, labels: IntArray) -> FloatArray:
         """Return what the measured starts add: it dies away with the lag.
 
         Parameters
@@ -66,7 +65,7 @@ class FreeRun:
                 out[rows[first:stop]] = self._from_start(rows[first:stop])
         return out
 
-    def one_step(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def one_step(self) -> tuple[FloatArray, BoolArray]:
         """Return each sample predicted from the measured one before it, and where there is one."""
         free, gain = self.free, self._gain
         known = np.zeros(free.size, dtype=np.bool_)
@@ -88,7 +87,7 @@ class FreeRun:
         gain = self._ports.out_gain
         return np.ones(self.data.n_samples) if gain is None else gain
 
-    def _from_start(self, piece: Index) -> FloatArray:
+    def _from_start(self, piece: IntArray) -> FloatArray:
         """Return what the measured start of a piece adds to its rows."""
         begin, gain = piece[0], self._gain[piece]
         lasting = np.exp(self._age[begin] - self._age[piece])
@@ -101,7 +100,7 @@ class FreeRun:
         sizes = np.linalg.lstsq(modes[:n], off[:n], rcond=1e-6)[0]
         return np.asarray(modes @ sizes)
 
-    def _second_mode(self, piece: Index) -> FloatArray:
+    def _second_mode(self, piece: IntArray) -> FloatArray:
         """Return the other way in which a lag of second order forgets, beside the slow one."""
         slow_s, fast_s, turn = self._times
         since_s = (piece - piece[0]) * self.data.sample_period_s

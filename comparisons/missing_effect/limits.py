@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, Diagnosis, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
@@ -67,7 +66,8 @@ def planted_limits(
     diagnosis : Diagnosis
         Of the records; what it has added stays in the model.
     effects : sequence of Effect or str, optional
-        In place of the whole catalogue.
+        In place of the whole catalogue of the diagnosis; one that is given as an effect competes
+        beside it.
     share : float
         Share of the trials in which it must be named.
     trials : int
@@ -92,10 +92,7 @@ def planted_limits(
     if trials < 1 or jobs < 1:
         raise InputError("trials, jobs", expected="at least 1", found=f"{trials}, {jobs}")
     begin = time.perf_counter()
-    wanted = [
-        e if isinstance(e, Effect) else find_effect(e)
-        for e in (CATALOGUE if effects is None else effects)
-    ]
+    wanted = [_wanted(e, diagnosis.catalogue) for e in effects or diagnosis.catalogue]
     if diagnosis.whole_runs:
         return _of_twins(diagnosis, wanted)
     drill = _Drill(
@@ -105,6 +102,7 @@ def planted_limits(
         trials,
         seed,
         check,
+        tuple({e.name: e for e in (*diagnosis.catalogue, *wanted)}.values()),
     )
     known = {
         **diagnosis.unavailable,
@@ -115,6 +113,15 @@ def planted_limits(
     rows = tuple(progress(_done(tasks, jobs)))
     seconds = time.perf_counter() - begin
     return Limits(rows, share, trials, seed, seconds)
+
+
+def _wanted(effect: Effect | str, catalogue: Sequence[Effect]) -> Effect:
+    if isinstance(effect, Effect):
+        return effect
+    known = {e.name: e for e in catalogue}
+    if effect not in known:
+        raise InputError("effects", expected=f"of {', '.join(known)}", found=repr(effect))
+    return known[effect]
 
 
 def _why_never(diagnosis: Diagnosis) -> str:
@@ -159,6 +166,7 @@ class _Drill:
     trials: int
     seed: int
     check: bool
+    catalogue: tuple[Effect, ...]
 
     def limit(self, effect: Effect, why_none: str) -> Limit:
         """Find the limit of one effect."""
@@ -250,7 +258,7 @@ class _Drill:
 
         columns = self.planter.coefficients(effect, 1.0, np.random.default_rng(0)).size
         numbers = columns + len(effect.free)
-        searched = effect.searched * len(CATALOGUE)
+        searched = effect.searched * len(self.catalogue)
         least = float(chi2.isf(LARGEST_P / searched, numbers))
         twice = least
         for _ in range(20):
@@ -298,7 +306,7 @@ class _Drill:
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
         metric = self.planter.source.noise.metric().on(np.arange(data.n_samples))
         bench = Bench.start(
-            data, fit.structure, metric, fit.nonlinear, block_rows(data), len(CATALOGUE)
+            data, fit.structure, metric, fit.nonlinear, block_rows(data), len(self.catalogue)
         )
         probe = bench.prober().probe(effect)
         if not probe.starts:
@@ -314,7 +322,7 @@ class _Drill:
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)
-        found = diagnose_data(data, self.terms)
+        found = diagnose_data(data, self.terms, catalogue=self.catalogue)
         return any(effect.name in item.alias_set and not item.provisional for item in found.missing)
 
 

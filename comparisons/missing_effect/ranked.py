@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 from comparisons.missing_effect.candidates import Candidate
-from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
+from comparisons.missing_effect.catalogue import FLOW_NOISE
 from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
@@ -95,20 +94,18 @@ def candidate_rows(d: Diagnosis) -> tuple[CandidateRow, ...]:
     return tuple(rows)
 
 
-def not_fitted(d: Diagnosis, catalogue: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
+def not_fitted(d: Diagnosis) -> tuple[str, ...]:
     """Return the effects that were tested and promised too little to be worth a fit.
 
     Parameters
     ----------
     d : Diagnosis
         The diagnosis.
-    catalogue : sequence of Effect
-        Names that competed.
     """
     fitted = {e.name for step in d.rounds for c in (*step.candidates, *step.pairs) for e in c.added}
     return tuple(
         effect.name
-        for effect in catalogue
+        for effect in d.catalogue
         if effect.name not in fitted
         and effect.name not in d.unavailable
         and effect.name not in {row.effect for row in d.untold}
@@ -129,7 +126,7 @@ def effect_of(d: Diagnosis, name: str) -> Effect:
     """
     candidates = [c for step in d.rounds for c in (*step.candidates, *step.unnamed, *step.pairs)]
     found = [*d.after.structure.effects, *(e for c in candidates for e in c.added)]
-    known = [*found, *CATALOGUE, FLOW_NOISE]
+    known = [*found, *d.catalogue, FLOW_NOISE]
     return next(effect for effect in known if effect.name == name)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
 
-from comparisons.missing_effect.effect import FittedParameter
+from comparisons.missing_effect.catalogue import CATALOGUE
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.noise import NoiseModel
@@ -64,6 +65,8 @@ class MissingEffect:
     evidence : mapping
         Gains in log-units on the fitted rows, later time and the other record, and their z; how
         many standard errors large all that the effect does is.
+    doubts : tuple of str
+        Why the name is not firm, where the search itself says so.
     """
 
     effect: str
@@ -71,6 +74,7 @@ class MissingEffect:
     provisional: bool
     parameters: tuple[FittedParameter, ...]
     evidence: Mapping[str, float]
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,6 +155,8 @@ class Diagnosis(Displayed):
         On whole runs, effects about which these records do not decide.
     absent : tuple of Absent
         On whole runs, effects that would have been seen.
+    catalogue : tuple of Effect
+        The names that competed; whatever is looked up by name is looked up here.
     """
 
     verdict: str
@@ -173,6 +179,7 @@ class Diagnosis(Displayed):
     remarks: tuple[str, ...] = ()
     untold: tuple[Untold, ...] = ()
     absent: tuple[Absent, ...] = ()
+    catalogue: tuple[Effect, ...] = CATALOGUE
 
     @property
     def whole_runs(self) -> bool:

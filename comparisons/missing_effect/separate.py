@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
 from comparisons.missing_effect.coefficient_groups import (
@@ -205,11 +204,11 @@ def separating_measurements(
     """
     sets = []
     for item in diagnosis.missing:
-        known = {effect.name for effect in CATALOGUE}
+        known = {effect.name: effect for effect in diagnosis.catalogue}
         names = tuple(name for name in item.alias_set if name in known)
         # A name that the workflow took from rows beside the model stands for nothing else.
         if len(names) > 1 and item.effect in diagnosis.after.structure.names:
-            rivals = _Rivals.of(diagnosis, item.effect, names)
+            rivals = _Rivals.of(diagnosis, item.effect, [known[name] for name in names])
             sets.append(_separated(rivals, changes, seed))
     return Separation(tuple(sets))
 
@@ -222,7 +221,7 @@ def _separated(rivals: _Rivals, changes: Sequence[Change], seed: int) -> SetSepa
     if len({name in OF_ONE_TAP for name in names}) > 1:
         tap = rivals.with_second_tap(before.distances)
         made.append(Measurement(SECOND_TAP.name, SECOND_TAP.says, tap))
-    confirm = {name: find_effect(name).confirm for name in names}
+    confirm = {effect.name: effect.confirm for effect in rivals.effects}
     return SetSeparation(names, before, tuple(made), confirm)
 
 
@@ -230,6 +229,7 @@ def _separated(rivals: _Rivals, changes: Sequence[Change], seed: int) -> SetSepa
 class _Rivals:
     """The members of one alias set, each fitted to all rows in the place of the others."""
 
+    effects: tuple[Effect, ...]
     fits: Mapping[str, Fit]
     without: Fit
     data: LagData
@@ -237,7 +237,7 @@ class _Rivals:
     metric: Metric
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, winner: str, names: Sequence[str]) -> _Rivals:
+    def of(cls, diagnosis: Diagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
         bench = diagnosis.rounds[-1].bench
         references = FrozenReferences.of(diagnosis.data)
         data = references.on(diagnosis.data)
@@ -248,11 +248,18 @@ class _Rivals:
         without = refitted_on(bare, data, bench.metric)
         fits = {winner: diagnosis.after}
         prober = Prober(without, data, bench.metric)
-        for name in names:
-            if name != winner:
-                fits[name] = _fitted(without, find_effect(name), data, bench.metric, prober)
+        for member in members:
+            if member.name != winner:
+                fits[member.name] = _fitted(without, member, data, bench.metric, prober)
         plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
-        return cls({name: fits[name] for name in names}, without, data, references, plain)
+        return cls(
+            tuple(members),
+            {member.name: fits[member.name] for member in members},
+            without,
+            data,
+            references,
+            plain,
+        )
 
     def distances(self, change: Change, rng: np.random.Generator) -> tuple[Distance, ...]:
         """Return how far each rival stays from each truth in an experiment."""
@@ -262,13 +269,12 @@ class _Rivals:
             data = there.with_measured(self._simulated(self.fits[truth], there, rng))
             base = self._base(data)
             prober = Prober(base, data, self.metric)
-            for rival in self.fits:
-                if rival != truth:
-                    own = self.fits[rival].structure.values_of(
-                        find_effect(rival), self.fits[rival].nonlinear
-                    )
-                    fit = _fitted(base, find_effect(rival), data, self.metric, prober, own)
-                    out.append(Distance(truth, rival, _sigma(fit), _asked(base)))
+            for rival in self.effects:
+                if rival.name != truth:
+                    known = self.fits[rival.name]
+                    own = known.structure.values_of(rival, known.nonlinear)
+                    fit = _fitted(base, rival, data, self.metric, prober, own)
+                    out.append(Distance(truth, rival.name, _sigma(fit), _asked(base)))
         return tuple(out)
 
     def with_second_tap(self, recorded: Sequence[Distance]) -> tuple[Distance, ...]:
@@ -294,7 +300,9 @@ class _Rivals:
         """Return how far two taps differ that both are noisy, one with an effect of its own."""
         fit = self.fits[name]
         groups = coefficient_groups(fit, self.data)
-        structure, nonlinear = fit.structure.without(find_effect(name), fit.nonlinear)
+        structure, nonlinear = fit.structure.without(
+            next(effect for effect in self.effects if effect.name == name), fit.nonlinear
+        )
         bare = assembled_fit(structure, self.data, nonlinear, groups).output(self.data)
         decay = fit.structure.respond_decay(self.data, fit.nonlinear)
         seen = self.metric.seen(clean - bare, decay, self.data)

@@ -26,8 +26,17 @@ from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis, MissingEffect
+    from comparisons.missing_effect.effect import Effect
 
-__all__ = ["noise_words", "opening_words", "untold_words", "untried_words", "verdict_words"]
+__all__ = [
+    "doubts_of",
+    "label_of",
+    "noise_words",
+    "opening_words",
+    "untold_words",
+    "untried_words",
+    "verdict_words",
+]
 
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show.",
@@ -56,6 +65,13 @@ _ALIAS_REASONS = {
     "changes over the flow that was swept, so that both act on dφ/dt",
     frozenset(("second_order_lag", "flow_inertia")): "the slope of the characteristic hardly "
     "changes over the flow that was swept, so that both act on dφ/dt",
+}
+_PLACES = {
+    "input": "at the input φ",
+    "characteristic": "in the characteristic ψ'_QS",
+    "lag": "in the lag",
+    "output": "at the output ψ'",
+    "noise": "on the measured φ",
 }
 _TAU_MEANING = {
     "amplitude_dependent_lag": "τ is that at the mean amplitude",
@@ -207,6 +223,18 @@ def untold_words(d: Diagnosis) -> tuple[str, ...]:
     )
 
 
+def label_of(effect: Effect) -> str:
+    """Return the name of an effect with the place at which it acts.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    """
+    name = f"open_{open_words(effect.name)}" if effect.unnamed else effect.name
+    return f"{name} {_PLACES[effect.port]}"
+
+
 def _effect_words(d: Diagnosis, item: MissingEffect) -> str:
     effect = effect_of(d, item.effect)
     numbers = numbers_of(item.effect, item.parameters)
@@ -293,39 +321,47 @@ def _distance_words(d: Diagnosis, item: MissingEffect) -> list[str]:
     return [f"with the held-out rows counted, their scores lie {apart} log-units apart"]
 
 
-def _doubt_words(d: Diagnosis) -> list[str]:
-    doubted = [item for item in d.missing if item.provisional]
-    small = [item for item in doubted if item.evidence.get(SIZE, np.inf) < LEAST_SIZE]
-    said = []
-    if small:
-        names, sizes = (
-            _listed([i.effect for i in small]),
-            [f"{i.evidence[SIZE]:.1f}" for i in small],
+def doubts_of(d: Diagnosis, item: MissingEffect) -> tuple[str, ...]:
+    """Return why the name of an effect is not firm; empty where it is.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    item : MissingEffect
+        What it found.
+    """
+    if not item.provisional:
+        return ()
+    size = item.evidence.get(SIZE, np.inf)
+    if item.doubts:
+        return item.doubts
+    if size < LEAST_SIZE:
+        why = (
+            f"what it does to ψ' is not distinguished from nothing ({size:.1f} standard errors, "
+            "all its numbers together)"
         )
-        said.append(
-            f"What {names} does to ψ' is not distinguished from nothing ({_listed(sizes)} standard "
-            f"errors, all its numbers together): {_word(small)} for what may be another effect."
-        )
-    if len(small) == len(doubted):
-        return said
-    names, word = _listed([item.effect for item in doubted]), _word(doubted)
-    if d.whole_runs:
-        why = f"Twins of these records, measured or not, are no measure of {names}"
+    elif d.whole_runs:
+        why = "twins of these records, measured or not, are no measure of it"
     elif d.leftover.structured:
         why = (
-            f"The model with {names} still leaves structure in its errors (what else was tested "
-            f"would win {d.leftover.gain:.0f} log-units together, p {chance(d.leftover.p_value)})"
+            "the model with it still leaves structure in its errors (what else was tested would "
+            f"win {d.leftover.gain:.0f} log-units together, p {chance(d.leftover.p_value)})"
         )
+    elif d.gap.shrink <= 0.0:
+        why = "it makes the error on held-out rows no smaller"
     else:
-        why = f"A term without a name had to stand beside {names}"
-    return [
-        *said,
-        f"{why}: {word} for something that may be another effect, and the numbers with it.",
-    ]
+        why = "a term without a name had to stand beside it"
+    return (why,)
 
 
-def _word(items: Sequence[MissingEffect]) -> str:
-    return "the names stand" if len(items) > 1 else "the name stands"
+def _doubt_words(d: Diagnosis) -> list[str]:
+    each = [(item.effect, "; ".join(doubts_of(d, item))) for item in d.missing if item.provisional]
+    if not each:
+        return []
+    why = "; ".join(f"{name}, since {words}" for name, words in each)
+    names, them = ("Provisional names are", "each") if len(each) > 1 else ("Provisional is", "it")
+    return [f"{names} {why}: {them} may stand for another effect, and the numbers with it."]
 
 
 def _together_words(item: MissingEffect) -> str:

@@ -37,8 +37,6 @@ MOST_EFFECTS = 4
 # What an effect beyond the first must explain: of the squared whitened errors, or of the squared
 # raw errors on held-out rows.
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
-# A check whose error grew beyond this factor is worse.
-WORSE = 1.02
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
@@ -182,7 +180,7 @@ def _concluded(
     ]
     model = records.model
     checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
-    worse = [run for run in checked if np.any(run.after_rms > WORSE * run.before_rms)]
+    worse = [run for run in checked if np.any(run.worse)]
     missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(

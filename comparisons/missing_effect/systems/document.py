@@ -72,6 +72,7 @@ def system_document(d: SystemDiagnosis, where: Mapping[str, Any] | None = None) 
         "test_rmse": test_rmse(d),
         "training_rmse": _errors(d, d.training),
         "unavailable": dict(d.unavailable),
+        "cannot_be_told": [],
         "remarks": list(d.remarks),
         "model": {
             "name": d.model.name,
@@ -197,6 +198,7 @@ def _missing(item: FoundEffect) -> dict[str, Any]:
         "effect": item.effect,
         "alias_set": list(item.alias_set),
         "provisional": bool(item.provisional),
+        "doubts": list(item.doubts),
         "parameters": [_number(number) for number in item.numbers],
         "evidence": {name: float(value) for name, value in item.evidence.items()},
         "place": dict(item.place),

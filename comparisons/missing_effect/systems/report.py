@@ -30,7 +30,7 @@ from comparisons.missing_effect.systems.shown import (
     typical,
 )
 from comparisons.missing_effect.systems.where import where_of
-from comparisons.missing_effect.systems.words import number_words, system_words
+from comparisons.missing_effect.systems.words import doubt_words, number_words, system_words
 from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from surge_core.rounding import round_to_error, significant
@@ -219,7 +219,7 @@ def _added(d: SystemDiagnosis) -> tuple[Block, ...]:
         Bullets(tuple(f"{item.label}: {item.says}" for item in d.missing), heading="What happens"),
         *_alias_sets(d),
         *_confirmations(d),
-        *_provisional(d),
+        *((Bullets(doubt_words(d), "caution", "Provisional"),) if doubt_words(d) else ()),
     )
 
 
@@ -243,18 +243,6 @@ def _confirmations(d: SystemDiagnosis) -> tuple[Block, ...]:
                 listed.setdefault(label, candidate.placed.effect.confirm)
     items = tuple(f"{label}: {words}" for label, words in listed.items())
     return (Bullets(items, heading="What would confirm it"),) if items else ()
-
-
-def _provisional(d: SystemDiagnosis) -> tuple[Block, ...]:
-    names = [item.label for item in d.missing if item.provisional]
-    if not names:
-        return ()
-    return (
-        Words(
-            f"Provisional: {', '.join(names)}. A term without a name does a little better here.",
-            "caution",
-        ),
-    )
 
 
 def _parameters(d: SystemDiagnosis) -> tuple[Block, ...]:

@@ -14,9 +14,12 @@ from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.search import Round
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import round_to_error, significant
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["CheckRun", "FittedNumber", "FoundEffect", "ParameterRow", "SystemDiagnosis"]
+
+# A check whose error grew beyond this factor is worse.
+WORSE = 1.02
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,11 @@ class CheckRun:
     def after_rms(self) -> FloatArray:
         """Return the rms error of each output of the model with what was added."""
         return _rms_columns((self.measured - self.after)[self.settle :])
+
+    @property
+    def worse(self) -> BoolArray:
+        """Return whether what was added made the error of each output larger, beyond rounding."""
+        return np.asarray(self.after_rms > WORSE * self.before_rms)
 
     @property
     def refitted_rms(self) -> FloatArray:

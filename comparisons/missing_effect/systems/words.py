@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         SystemDiagnosis,
     )
 
-__all__ = ["number_words", "plain_name", "system_words"]
+__all__ = ["doubt_words", "number_words", "plain_name", "system_words", "worse_words"]
 
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show: no effect tried explains more "
@@ -41,8 +41,8 @@ def system_words(d: SystemDiagnosis) -> str:
         if d.verdict == "nothing_missing":
             said.append(_left_words(d))
         return " ".join(filter(None, said))
-    said = [_missing_words(d), _fall_words(d), _alias_words(d), _doubt_words(d), _bound_words(d)]
-    return " ".join(filter(None, said))
+    said = [worse_words(d), _missing_words(d), _fall_words(d), _alias_words(d)]
+    return " ".join(filter(None, [*said, *doubt_words(d), _bound_words(d)]))
 
 
 def plain_name(name: str) -> str:
@@ -147,13 +147,27 @@ def _alias_words(d: SystemDiagnosis) -> str:
     return f"{text[0].upper()}{text[1:]}{what}."
 
 
-def _doubt_words(d: SystemDiagnosis) -> str:
-    names = [plain_name(item.effect) for item in d.missing if item.provisional]
-    if not names:
+def doubt_words(d: SystemDiagnosis) -> tuple[str, ...]:
+    """Say of each provisional name why it is not firm."""
+    return tuple(
+        f"{item.label} is provisional: {'; '.join(item.doubts) or 'it may be another effect'}."
+        for item in d.missing
+        if item.provisional
+    )
+
+
+def worse_words(d: SystemDiagnosis) -> str:
+    """Say which check records are simulated worse with what was added; empty where none is."""
+    worse = []
+    for run in d.checks if d.missing else ():
+        for j in np.flatnonzero(run.worse):
+            output, sizes = run.outputs[j], (float(run.before_rms[j]), float(run.after_rms[j]))
+            scale = scale_of(d.model.outputs[output], sizes)
+            fell = " to ".join(map(scale.text, sizes))
+            worse.append(f"{output} of {run.experiment.name} from {fell}")
+    if not worse:
         return ""
-    verb = "is" if len(names) == 1 else "are"
-    listed = " and ".join(names).capitalize()
-    return f"{listed} {verb} provisional: a term without a name does a little better."
+    return f"What was added makes the error on check records larger: {', '.join(worse)}."
 
 
 def _bound_words(d: SystemDiagnosis) -> str:

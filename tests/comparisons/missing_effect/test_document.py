@@ -42,6 +42,15 @@ def test_tau_stands_under_every_name_of_an_alias_set() -> None:
     ]
 
 
+def test_place_label_and_doubts_stand_beside_each_name() -> None:
+    (item,) = document_of("named")["missing"]
+    assert item["label"] == "hysteresis in the characteristic ψ'_QS"
+    assert item["place"] == {"port": "characteristic"}
+    assert item["alias_labels"] == [item["label"]]
+    assert item["doubts"] == []
+    assert all(item["doubts"] for item in document_of("provisional")["missing"])
+
+
 def test_what_is_not_known_is_null() -> None:
     d = made_diagnosis("named")
     step = d.rounds[0]

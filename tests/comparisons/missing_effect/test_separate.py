@@ -7,6 +7,7 @@ import pytest
 from effect_data import series_of
 
 from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.changed_records import CHANGES, Change, changed
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose, diagnose_data
 from comparisons.missing_effect.fit import fit_structure
@@ -73,7 +74,7 @@ def test_a_delay_and_a_second_pole_part_where_the_flow_is_faster(separated: Sepa
 
 
 def test_the_distance_is_what_noisy_records_win_on_average(late: Diagnosis) -> None:
-    names = ("transport_delay", "second_order_lag")
+    names = [find_effect(name) for name in ("transport_delay", "second_order_lag")]
     rivals = _Rivals.of(late, late.missing[0].effect, names)
     rng = np.random.default_rng(5)
     faster = changed(rivals.data, BY_NAME["faster_2"])
@@ -87,7 +88,7 @@ def test_the_distance_is_what_noisy_records_win_on_average(late: Diagnosis) -> N
         data = faster.with_measured(clean + metric.sigma * rng.standard_normal(clean.size))
         cost = [
             fit_structure(fit.structure, data, metric, [fit.nonlinear]).cost
-            for fit in (rivals.fits[name] for name in names)
+            for fit in (rivals.fits[effect.name] for effect in names)
         ]
         gains.append(cost[1] - cost[0])
     # The gain scatters by D about D²/2.
@@ -96,7 +97,7 @@ def test_the_distance_is_what_noisy_records_win_on_average(late: Diagnosis) -> N
 
 
 def test_the_workflow_names_one_where_it_is_said_to(late: Diagnosis) -> None:
-    names = ("transport_delay", "second_order_lag")
+    names = [find_effect(name) for name in ("transport_delay", "second_order_lag")]
     rivals = _Rivals.of(late, late.missing[0].effect, names)
     change = BY_NAME["faster_larger"]
     rng = np.random.default_rng(2)

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from driven_mass import CUBIC, NOISE_M, files
+from made_systems import made_diagnosis
 
 from comparisons.missing_effect.systems import document as documents
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.files import load_model, read_experiment
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
+from comparisons.missing_effect.systems.words import system_words
 from surge_core.files import to_strict_json
 
 KEYS = {
@@ -26,6 +28,7 @@ KEYS = {
     "time_constant_s",
     "where",
     "candidates",
+    "cannot_be_told",
     "parameters",
     "timing_offsets",
     "input_between_samples",
@@ -176,3 +179,15 @@ def test_splits_and_units_of_the_errors(
     found = errors["z_check"]
     assert found["unit"] == told
     assert found["after"] == pytest.approx(times * float(d.checks[0].after_rms[1]))
+
+
+def test_a_check_that_got_worse_comes_first_and_each_doubt_is_said() -> None:
+    d = made_diagnosis()
+    check = d.checks[0]
+    worse = replace(check, after=check.before + 2.0 * (check.before - check.measured))
+    doubted = replace(d.missing[0], provisional=True, doubts=("the reason",))
+    d = replace(d, missing=(doubted, *d.missing[1:]), checks=(worse, *d.checks[1:]))
+    words = system_words(d)
+    assert words.index(worse.experiment.name) < words.index("lacks")
+    assert "the reason" in words
+    assert read_back(d)["missing"][0]["doubts"] == ["the reason"]
