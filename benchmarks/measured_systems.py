@@ -1,8 +1,8 @@
 """What the models of measured systems lack: names, doubts, and the error on records not fitted.
 
-    python benchmarks/measured_systems.py FOLDER [--only tanks,drives]
+FOLDER holds a folder a system, with CSV files of its records.
 
-FOLDER holds a folder a system with CSV files of the records.
+    python benchmarks/measured_systems.py FOLDER
 """
 
 from __future__ import annotations
@@ -80,23 +80,6 @@ SYSTEMS: dict[str, tuple[Model, tuple[str, ...], tuple[str, ...]]] = {
         ("train",),
         ("test",),
     ),
-    "ball_and_beam": (
-        Model(
-            states={"q": "m", "v": "m/s"},
-            inputs={"beam": "rad"},
-            outputs={"ball": "m"},
-            params={
-                "g": P(5.0, -20.0, 20.0, "m/s^2"),
-                "level": P(0.0, -0.1, 0.1, "rad"),
-                "c": P(0.1, 0.0, 5.0, "1/s"),
-            },
-            rhs=lambda t, x, u, p: (x.v, p.g * (u.beam - p.level) - p.c * x.v),
-            output=lambda t, x, u, p: x.q,
-            exact=("q",),
-        ),
-        ("train",),
-        ("test",),
-    ),
 }
 
 
@@ -111,12 +94,9 @@ def record(file: Path) -> Experiment:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", default=",".join(SYSTEMS))
     args = parser.parse_args()
-    for name in args.only.split(","):
-        model, fit, check = SYSTEMS[name]
-        begun = time.process_time()
-        at = args.folder / name
+    for name, (model, fit, check) in SYSTEMS.items():
+        begun, at = time.process_time(), args.folder / name
         d = diagnose_model(
             model,
             [record(at / f"{n}.csv") for n in fit],

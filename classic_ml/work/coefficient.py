@@ -181,7 +181,7 @@ def fit_work_characteristic(
         τ, where it is known (from ψ'); else it is fitted.
     mixing_phi : float
         Flow near which T31 stops showing what left the blading, see
-        :func:`classic_ml.work.balance.credit_of_storage`. The errors do not contain it.
+        ``classic_ml.work.balance.credit_of_storage``. The errors do not contain it.
 
     Returns
     -------

@@ -112,7 +112,7 @@ def extended_from_json(
     Parameters
     ----------
     data : mapping
-        What :meth:`ExtendedLag.to_json` gave.
+        What ``ExtendedLag.to_json`` gave.
     where : str
         File and key of the model, for errors.
     catalogue : sequence of Effect

@@ -81,7 +81,7 @@ def test_simulate_reduce_compare_save_reconstruct(raw: Path, tmp_path: Path) -> 
             run("reduce", folder / "raw.csv", "--test", folder / "test.toml", "-o", files[-1]) == 0
         )
     model, report = tmp_path / "m.json", tmp_path / "r.html"
-    assert run("compare", files[0], "--save", model, "--report", report) == 0
+    assert run("compare", files[0], "--no-twins", "--save", model, "--report", report) == 0
     assert "<html" in report.read_text("utf-8")
     out, scores = tmp_path / "rec.csv", tmp_path / "rec.json"
     again = ("reconstruct", model, files[1], "--estimator", "paper")

@@ -182,6 +182,8 @@ def _concluded(
     checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
     worse = [run for run in checked if np.any(run.worse)]
     missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
+    if left.structured:
+        missing = (*missing[:1], *(_doubted(item) for item in missing[1:]))
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         model,
@@ -254,6 +256,17 @@ def _found(
         placed.words(model).confirm,
         doubts,
     )
+
+
+def _doubted(item: FoundEffect) -> FoundEffect:
+    """Doubt a name beyond the first in a model whose error is still foretold.
+
+    It may stand in for what is left.
+    """
+    if item.unnamed:
+        return item
+    doubts = (*item.doubts, "inputs and states still foretell the error that is left")
+    return replace(item, provisional=True, doubts=doubts)
 
 
 def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:

@@ -33,7 +33,7 @@ UNNAMED_SHARE = 0.02
 # A plain form speaks for a refined one, and provisionally a name for a term without one that
 # corrects the same (cosine of the corrections), where it wins this share of what that wins.
 SIMPLE_SHARE, SAME_COSINE = 0.9, 0.98
-# A name elsewhere that explains this share of what the winner explains is a rival.
+# What explains this share of what the winner explains, elsewhere, is a rival.
 RIVAL_SHARE = 0.8
 
 
@@ -97,13 +97,17 @@ def _rival(
     aliases: Sequence[Candidate],
     ranked: Sequence[Candidate],
 ) -> Candidate | None:
-    """Return the best name that shares no effect with the winner and explains nearly as much."""
+    """Return the best that shares no effect with the winner and explains nearly as much.
+
+    A term without a name counts, unless it corrects the same: it is the name, without it.
+    """
     if winner is None or winner.unnamed:
         return None
     listed = {placed.key for c in aliases for placed in c.added}
     for c in ranked:
         apart = not listed & {placed.key for placed in c.added}
-        if c.accepted and not c.unnamed and apart and c.score > RIVAL_SHARE * winner.score:
+        near = c.accepted and apart and c.score > RIVAL_SHARE * winner.score
+        if near and not (c.unnamed and _corrects_the_same(weigher, c, winner)):
             return c
     return None
 

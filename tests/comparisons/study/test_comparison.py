@@ -79,10 +79,10 @@ def test_a_known_difference_comes_back_with_an_honest_error() -> None:
     assert min(ratios) > 3.0
 
 
-@pytest.mark.parametrize("n_records", [5, 8, 25])
+@pytest.mark.parametrize("n_records", [5, 25])
 def test_the_95_percent_interval_covers_with_few_records_and_with_many(n_records: int) -> None:
     held = []
-    for seed in range(200):
+    for seed in range(120):
         table = made_study(
             {"a": 0.0, "b": 0.5},
             seed=seed,
@@ -94,7 +94,7 @@ def test_the_95_percent_interval_covers_with_few_records_and_with_many(n_records
         pair = compared(table, reference="a").row("b").against
         reach = float(student_t.ppf(0.975, pair.n_records - 1)) * pair.stderr
         held.append(abs(pair.difference - 0.5) <= reach)
-    # 200 draws: the binomial error is 1.5 %.
+    # 120 draws: the binomial error is 2 %.
     assert 0.91 < np.mean(held) < 0.99
 
 
