@@ -7,15 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import SIZE, Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.results import CORRELATION, SIZE, Diagnosis, Gap, MissingEffect
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
+    covariance_of,
     fitted_parameters,
     on_all_rows,
     size_in_errors,
@@ -71,6 +74,7 @@ def concluded(
     sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
     if verdict in ("named", "alias_set") and min(sizes.values(), default=np.inf) < LEAST_SIZE:
         verdict = "provisional"
+    covariance = covariance_of(after, with_own_state(data, after), final) if found else np.eye(0)
     missing = tuple(
         MissingEffect(
             effect.name,
@@ -80,6 +84,7 @@ def concluded(
             {
                 **(evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {}),
                 **({SIZE: sizes[effect.name]} if effect.name in sizes else {}),
+                **_correlation(effect, after, covariance),
             },
         )
         for effect in found
@@ -109,6 +114,25 @@ def concluded(
         tuple(rounds),
         unavailable,
     )
+
+
+def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:
+    """Return the largest correlation of two free numbers of an effect, where it has two."""
+    first = 1
+    for other in fit.structure.effects:
+        if other.name == effect.name:
+            break
+        first += len(other.nonlinear)
+    own = range(first, first + len(effect.nonlinear))
+    at = [place for place, number in enumerate(fit.structure.free) if number in own]
+    if len(at) < 2:
+        return {}
+    part = covariance[np.ix_(at, at)]
+    scale = np.sqrt(np.maximum(np.diag(part), 0.0))
+    if not np.all(scale > 0.0):
+        return {}
+    apart = np.triu(part / np.outer(scale, scale), 1).ravel()
+    return {CORRELATION: float(apart[np.argmax(np.abs(apart))])}
 
 
 def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]:

@@ -17,7 +17,7 @@ from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_met
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.quantities import covariance, numbers_of
+from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import (
     CheckRun,
@@ -249,6 +249,7 @@ def _found(
             "z": evidence.z,
             "score": evidence.score,
             "p_value": evidence.p_value,
+            "largest_correlation": correlation_of(fit, placed, cov),
         },
         placed.equation(model),
         placed.words(model).says,
