@@ -135,9 +135,8 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
 def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> None:
     """Diagnose a record in which an effect is hidden, and the same one without it."""
     from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.shown import where_of
+    from comparisons.missing_effect.report import diagnosis_parts
     from comparisons.page.blocks import Picture
-    from comparisons.show.diagnose_report import diagnosis_parts
     from comparisons.show.report import ReportSection
 
     demo.begin("hiding an effect in the raw counts of a further test")
@@ -146,7 +145,7 @@ def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> No
     for what, record in (("with it", hidden), ("without it", untouched)):
         demo.begin(f"looking for what is missing in the record {what}")
         d = diagnose([record])
-        parts = diagnosis_parts(d, where_of(d))
+        parts = diagnosis_parts(d)
         if record is hidden:
             picture = next(b for part in parts for b in part.blocks if isinstance(b, Picture))
             picture.figure.savefig(demo.folder / PICTURE, dpi=PICTURE_DPI)
