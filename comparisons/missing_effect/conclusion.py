@@ -36,6 +36,9 @@ from surge_core.types import FloatArray
 
 __all__ = ["concluded", "evidence_numbers", "missing_effect"]
 
+# Standard errors below which an amplitude is not known, and its name not firm.
+LEAST_AMPLITUDE = 3.0
+
 AliasSets = Mapping[str, Sequence[Candidate]]
 
 
@@ -85,20 +88,24 @@ def concluded(
     after = on_all_rows(final.fit, final) if found else before
     values = fitted_parameters(after, final)
     sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
-    if verdict in ("named", "alias_set") and min(sizes.values(), default=np.inf) < LEAST_SIZE:
+    unsure = {
+        name for name, size in sizes.items() if size < LEAST_SIZE or _unknown(values[name][0])
+    }
+    if verdict in ("named", "alias_set") and unsure:
         verdict = "provisional"
     covariance = covariance_of(after, with_own_state(data, after), final)
     missing = tuple(
         missing_effect(
             effect,
             [c.added[0] for c in sets[effect.name]] or [effect],
-            not effect.unnamed and (provisional or sizes[effect.name] < LEAST_SIZE),
+            not effect.unnamed and (provisional or effect.name in unsure),
             values[effect.name],
             {
                 **(evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {}),
                 **({SIZE: sizes[effect.name]} if effect.name in sizes else {}),
                 **_correlation(effect, after, covariance),
             },
+            _doubt(values[effect.name][0]) if sizes.get(effect.name, 0.0) >= LEAST_SIZE else (),
         )
         for effect in found
     )
@@ -137,6 +144,7 @@ def missing_effect(
     provisional: bool,
     parameters: tuple[FittedParameter, ...],
     evidence: Mapping[str, float],
+    doubts: tuple[str, ...] = (),
 ) -> MissingEffect:
     """Return an effect that a lag model lacks.
 
@@ -152,6 +160,8 @@ def missing_effect(
         Its numbers.
     evidence : mapping of str to float
         What speaks for it.
+    doubts : tuple of str
+        Why the name is not firm.
     """
     return MissingEffect(
         effect.name,
@@ -159,7 +169,7 @@ def missing_effect(
         provisional,
         parameters,
         evidence,
-        (),
+        doubts,
         label_of(effect),
         {"port": effect.port},
         tuple(map(label_of, members)),
@@ -187,6 +197,25 @@ def _parameters(
         ParameterRow(name, unit, old[i], new[i], float(old_errors[i]), float(new_errors[i]))
         for i, (name, unit) in enumerate(names)
     )
+
+
+def _doubt(amplitude: FittedParameter) -> tuple[str, ...]:
+    if not _unknown(amplitude):
+        return ()
+    size = abs(amplitude.value) / amplitude.stderr
+    return (
+        f"{amplitude.name} is not distinguished from zero ({size:.1f} standard errors): "
+        "only what its numbers do together is known, which a simpler effect may do too",
+    )
+
+
+def _unknown(amplitude: FittedParameter) -> bool:
+    """Tell whether an effect's own amplitude is lost among its numbers.
+
+    What all of them do together may be large all the same: a heating whose time is far longer than
+    the records is a straight drift, and that is then not what its name says.
+    """
+    return abs(amplitude.value) < LEAST_AMPLITUDE * amplitude.stderr
 
 
 def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:
