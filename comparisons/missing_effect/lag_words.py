@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from itertools import combinations
 
-import numpy as np
-
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.quantities import chance, tau_ms
 from surge_core.rounding import significant
-from surge_core.terms import pretty_term
 
 __all__ = [
     "ALIAS_REASONS",
     "lag_ledger",
     "limit_words",
     "noise_words",
-    "opening_words",
     "shape_words",
     "structure_words",
     "tau_words",
@@ -67,29 +62,6 @@ def tau_words(d: LagDiagnosis) -> str:
     if abs(row.after / row.before - 1.0) < LEAST_CHANGE:
         return f"τ stays at {now}{means}"
     return f"τ goes from {tau_ms(row.before, row.before_stderr)} to {now}{means}"
-
-
-def opening_words(d: LagDiagnosis) -> str:
-    """Say what was fitted and what was held out.
-
-    Parameters
-    ----------
-    d : LagDiagnosis
-        The diagnosis.
-    """
-    counts = [
-        (int(np.count_nonzero(d.data.scored(part))), words)
-        for part, words in (
-            (TRAIN, "fitted"),
-            (LATER, "held out as later time"),
-            (OTHER, "held out as another record"),
-        )
-    ]
-    rows = ", ".join(f"{n} {words}" for n, words in counts if n)
-    if d.whole_runs:
-        rows = "of one free run through each record; what is held out are cycles left out in turn"
-    terms = ", ".join(pretty_term(name) for name in d.before.structure.terms)
-    return f"ψ' of {d.title}: {sum(n for n, _ in counts)} rows, {rows}; base terms {terms}."
 
 
 def noise_words(d: LagDiagnosis) -> str:

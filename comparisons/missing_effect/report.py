@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.lag_words import noise_words, opening_words
+from comparisons.missing_effect.lag_words import noise_words
 from comparisons.missing_effect.quantities import model_equation
 from comparisons.missing_effect.results import CLEAR
 from comparisons.missing_effect.systems.results import SystemDiagnosis
@@ -18,6 +18,7 @@ from comparisons.missing_effect.terminal import (
     effect_grid,
     errors_grid,
     legend_of,
+    on_records,
     parameter_grid,
     timing_words,
 )
@@ -81,7 +82,7 @@ def diagnosis_parts(
             "Errors before and after",
             (_table("rms error of the free run of each record", errors_grid(d)),),
         ),
-        Part("Where the model and the measurement part", _where(d, wheres)),
+        Part(f"Where the model and the measurement part{on_records(wheres)}", _where(d, wheres)),
         Part("What was added", _added(d)),
         Part("Parameters of the model", _parameters(d)),
         Part("Who was tried", _who(d)),
@@ -147,9 +148,7 @@ def _picture(d: Diagnosis, wheres: tuple[Where, ...]) -> Picture:
 
 def _where(d: Diagnosis, wheres: tuple[Where, ...]) -> tuple[Block, ...]:
     said = tuple(words for where in wheres for words in describe(where, two=bool(d.missing)))
-    if isinstance(d, LagDiagnosis):
-        return (Words(opening_words(d), "quiet"), Bullets(said or (TOO_SHORT,)))
-    return (Bullets(said or (TOO_SHORT,), heading=f"On {telling_run(d).title}"),)
+    return (Bullets(said or (TOO_SHORT,)),)
 
 
 def _added(d: Diagnosis) -> tuple[Block, ...]:

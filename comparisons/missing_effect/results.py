@@ -236,6 +236,11 @@ class CheckRun:
         """Name and kind."""
         return f"{self.name} ({self.kind})"
 
+    @property
+    def scored(self) -> int:
+        """How many rows count."""
+        return int(np.count_nonzero(np.isfinite(self.measured[self.settle :]).any(axis=1)))
+
     def errors(self, *, before: bool) -> FloatArray:
         """Return the errors of the scored rows, of shape (n, n_y).
 

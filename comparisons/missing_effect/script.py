@@ -161,21 +161,10 @@ def _parser(most_effects: int) -> argparse.ArgumentParser:
     add("--report", type=Path, metavar="FILE.html", help="write the report")
     add(
         "--max-effects",
-        type=_effects,
+        type=int,
+        choices=range(1, MOST_EFFECTS_ASKED + 1),
         default=most_effects,
         metavar="N",
         help=f"add at most so many effects (default: {most_effects})",
     )
     return parser
-
-
-def _effects(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if not 1 <= value <= MOST_EFFECTS_ASKED:
-        raise argparse.ArgumentTypeError(
-            f"expected a whole number from 1 to {MOST_EFFECTS_ASKED}: '{text}'"
-        )
-    return value

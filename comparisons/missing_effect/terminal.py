@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.lag_words import noise_words, opening_words
+from comparisons.missing_effect.lag_words import noise_words
 from comparisons.missing_effect.quantities import chance, number_rows, open_words
 from comparisons.missing_effect.results import CandidateRow, Diagnosis
 from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import wheres_of
+from comparisons.missing_effect.where import Where
 from comparisons.missing_effect.where_words import SYMBOLS, describe
 from comparisons.missing_effect.words import (
     confirm_words,
@@ -34,6 +35,7 @@ __all__ = [
     "effect_grid",
     "errors_grid",
     "legend_of",
+    "on_records",
     "parameter_grid",
     "timing_words",
 ]
@@ -70,7 +72,6 @@ def diagnosis_text(d: Diagnosis, *, limits: Any = None, separation: Any = None) 
     lag = d if isinstance(d, LagDiagnosis) else None
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
     parts = [
-        _wrapped(opening_words(lag)) if lag else [],
         [f"VERDICT: {d.verdict}", *_wrapped(words)],
         _effects(d),
         ["Parameters", *_aligned(parameter_grid(d))] if d.parameters else [],
@@ -133,17 +134,21 @@ def errors_grid(d: Diagnosis) -> Grid:
     both = bool(d.missing)
     heads = ("before", "after", "smaller") if both else ("rms",)
     rows: Grid = [("record", "rows", "output", *heads, "of the swing")]
-    all_sizes = [np.array([run.before_rms, run.after_rms]) for run in d.runs]
-    for run in d.runs:
-        for j, (name, unit) in enumerate(run.outputs.items()):
-            before, after = float(run.before_rms[j]), float(run.after_rms[j])
-            scale = scale_of(unit, [typical([size for sizes in all_sizes for size in sizes[:, j]])])
-            ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
-            fell = (scale.text(before, 4), scale.text(after, 4), ratio)
-            if not both:
-                fell = (scale.text(after, 4),)  # type: ignore[assignment]
+    sizes = [np.array([run.before_rms, run.after_rms]) for run in d.runs]
+    scales = [
+        scale_of(unit, [typical(np.ravel([size[:, j] for size in sizes]))])
+        for j, unit in enumerate(d.outputs.values())
+    ]
+    for run, size in zip(d.runs, sizes, strict=True):
+        for j, name in enumerate(run.outputs):
+            before, after = float(size[0, j]), float(size[1, j])
+            fell = [scales[j].text(after, 4)]
+            if both:
+                ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
+                fell = [scales[j].text(before, 4), *fell, ratio]
             share = f"{significant(100.0 * after / float(run.swing[j]), 3)} %"
-            rows.append((run.name, run.kind, SYMBOLS.get(name, name), *fell, share))
+            kind = f"{run.scored} {run.kind}"
+            rows.append((run.name, kind, SYMBOLS.get(name, name), *fell, share))
     return rows
 
 
@@ -213,6 +218,17 @@ def timing_words(d: SystemDiagnosis) -> str:
     return f"Inputs between samples: {after}{earlier}; timing offsets: {listed}."
 
 
+def on_records(wheres: Sequence[Where]) -> str:
+    """Return the end of a heading: on which records it was looked.
+
+    Parameters
+    ----------
+    wheres : sequence of Where
+        Where the residuals of one diagnosis stand out.
+    """
+    return f", on {', '.join(wheres[0].of.record_names)}" if wheres else ""
+
+
 def _effects(d: Diagnosis) -> list[str]:
     if not d.missing:
         return []
@@ -224,9 +240,10 @@ def _effects(d: Diagnosis) -> list[str]:
 
 
 def _where(d: Diagnosis) -> list[str]:
-    said = [words for where in wheres_of(d) for words in describe(where, two=bool(d.missing))]
+    wheres = wheres_of(d)
+    said = [words for where in wheres for words in describe(where, two=bool(d.missing))]
     lines = [line for words in said or (TOO_SHORT,) for line in _wrapped(f"  {words}", "    ")]
-    return ["Where the model and the measurement part", *lines]
+    return [f"Where the model and the measurement part{on_records(wheres)}", *lines]
 
 
 def _candidates(d: Diagnosis) -> list[str]:

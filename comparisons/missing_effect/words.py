@@ -326,15 +326,11 @@ def _refused_words(d: Diagnosis) -> str:
 
 
 def _too_small(row: CandidateRow) -> str:
-    if not np.isfinite(row.share):
-        on = _listed([_ROWS[name] for name in row.refused_on]) if row.refused_on else ""
-        return f"gains no more than chance {on}".rstrip()
-    explains = f"explains {100.0 * row.share:.0f} % of the squared errors"
-    if np.isinf(row.least_share):
-        return f"{explains}, by a number that is small or that twins take, too"
-    if "share" in row.refused_on:
-        return f"{explains}, where twins of these records give {100.0 * row.least_share:.0f} %"
-    return f"{explains}, but not of cycles left out"
+    if np.isfinite(row.share):
+        what = "cycles left out" if row.share >= row.least_share else "twins of these records"
+        return f"explains {100.0 * row.share:.0f} % of the squared errors: no more than of {what}"
+    on = _listed([_ROWS[name] for name in row.refused_on]) if row.refused_on else ""
+    return f"gains no more than chance {on}".rstrip()
 
 
 def _left_words(d: Diagnosis) -> str:
