@@ -15,7 +15,7 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
-from comparisons.missing_effect.quantities import label_of
+from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
 from comparisons.missing_effect.results import (
     CORRELATION,
     SIZE,
@@ -38,6 +38,9 @@ __all__ = ["concluded", "evidence_numbers", "missing_effect"]
 
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
+
+# What a term without a name needs.
+TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
 
 AliasSets = Mapping[str, Sequence[Candidate]]
 
@@ -163,6 +166,7 @@ def missing_effect(
     doubts : tuple of str
         Why the name is not firm.
     """
+    letters = letters_of(effect)
     return MissingEffect(
         effect.name,
         tuple(e.name for e in members),
@@ -174,10 +178,10 @@ def missing_effect(
         {"port": effect.port},
         tuple(map(label_of, members)),
         effect.unnamed,
-        effect.equation,
-        effect.says,
-        {e.name: e.confirm for e in members},
-        effect.on_tau,
+        equation_of(effect),
+        f"{effect.says.removesuffix('.')} ({letters})" if letters else effect.says,
+        {e.name: TO_NAME if e.unnamed else e.confirm for e in members},
+        "" if effect.unnamed else effect.on_tau,
     )
 
 

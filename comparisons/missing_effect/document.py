@@ -21,7 +21,8 @@ from comparisons.missing_effect.words import verdict_words
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.fit import Fit
-    from comparisons.missing_effect.results import CandidateRow, CheckRun, Diagnosis, MissingEffect
+    from comparisons.missing_effect.results import CandidateRow, Diagnosis, MissingEffect
+    from comparisons.missing_effect.runs import CheckRun
 
 __all__ = ["DIAGNOSE_SCHEMA", "diagnosis_document", "merged_test_rmse", "rmse_of"]
 

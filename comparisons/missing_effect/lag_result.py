@@ -22,11 +22,11 @@ from comparisons.missing_effect.quantities import chance, label_of
 from comparisons.missing_effect.results import (
     SIZE,
     CandidateRow,
-    CheckRun,
     Diagnosis,
     Gap,
     MissingEffect,
 )
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine

@@ -11,12 +11,11 @@ import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.quantities import numbers_of, open_words, tau_ms
+from comparisons.missing_effect.quantities import numbers_of, open_words, plain_name, tau_ms
 from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.telling import telling_run, telling_stretch
 from comparisons.missing_effect.where_panels import draw_over_signal, draw_spectrum
 from comparisons.missing_effect.where_words import SYMBOLS
-from comparisons.missing_effect.words import plain_name
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -36,7 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from comparisons.missing_effect.results import CandidateRow, CheckRun, Diagnosis
+    from comparisons.missing_effect.results import CandidateRow, Diagnosis
+    from comparisons.missing_effect.runs import CheckRun
     from comparisons.missing_effect.where import Where
     from surge_core.types import FloatArray
 

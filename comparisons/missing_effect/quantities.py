@@ -19,6 +19,7 @@ __all__ = [
     "number_rows",
     "numbers_of",
     "open_words",
+    "plain_name",
     "quantity",
     "symbol",
     "tau_ms",
@@ -164,6 +165,17 @@ def label_of(effect: Effect) -> str:
     """
     name = f"open_{open_words(effect.name)}" if effect.unnamed else effect.name
     return f"{name} {PORT_WORDS[effect.port]}"
+
+
+def plain_name(name: str) -> str:
+    """Return the name of an effect as it is read: without underscores.
+
+    Parameters
+    ----------
+    name : str
+        Its identifier.
+    """
+    return name.replace("_", " ")
 
 
 def equation_of(effect: Effect) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from comparisons.missing_effect.lag_result import LagDiagnosis
@@ -13,13 +14,9 @@ from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import telling_run, telling_stretch, wheres_of
 from comparisons.missing_effect.terminal import (
     TOO_SHORT,
-    WORD_COLUMNS,
     candidate_grid,
-    effect_grid,
-    errors_grid,
     legend_of,
     on_records,
-    parameter_grid,
     timing_words,
 )
 from comparisons.missing_effect.where_words import describe
@@ -29,7 +26,7 @@ from comparisons.missing_effect.words import (
     ledger_words,
     verdict_words,
 )
-from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from surge_core.rounding import significant
 
@@ -39,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["diagnosis_parts", "diagnosis_report"]
 
-_PROSE = ("where it acts", "candidate")
+_PROSE = ("effect", "adds", "candidate")
 HOW = (
     "Each effect is laid wherever it may act and fitted together with all parameters of the model. "
     "It is accepted only where the fitted rows and those held out both speak for it, the search "
@@ -80,7 +77,7 @@ def diagnosis_parts(
         ),
         Part(
             "Errors before and after",
-            (_table("rms error of the free run of each record", errors_grid(d)),),
+            (Table.of(d.errors_grid()),),
         ),
         Part(f"Where the model and the measurement part{on_records(wheres)}", _where(d, wheres)),
         Part("What was added", _added(d)),
@@ -159,7 +156,7 @@ def _added(d: Diagnosis) -> tuple[Block, ...]:
     )
     doubts = tuple(f"{item.label}: {why}" for item in d.missing for why in d.doubts_of(item))
     return (
-        _table("What was added, fitted to all rows", effect_grid(d)),
+        Table.of(d.effect_grid(), prose=_PROSE),
         Bullets(said),
         *((Bullets(doubts, "caution", "Why a name is not firm"),) if doubts else ()),
     )
@@ -171,9 +168,8 @@ def _parameters(d: Diagnosis) -> tuple[Block, ...]:
         models = [f"before: {model_equation(d.before)}", f"after:  {model_equation(d.after)}"]
         blocks.append(Words("\n".join(models[: 2 if d.missing else 1]), "code"))
     if d.parameters:
-        caption = "Fitted to all rows; standard errors in the last digits, from blocks of rows"
         marks = tuple("failed" if row.at_bound else "" for row in d.parameters)
-        blocks.append(_table(caption, parameter_grid(d), marks))
+        blocks.append(replace(Table.of(d.parameter_grid()), marks=marks))
     if isinstance(d, SystemDiagnosis):
         blocks += [Words(words) for words in [timing_words(d)] if words]
     if isinstance(d, LagDiagnosis):
@@ -190,7 +186,7 @@ def _who(d: Diagnosis) -> tuple[Block, ...]:
     more = len(d.candidates) - len(rows)
     return (
         Words(HOW_TWINS if twins else HOW),
-        _table("Fitted candidates, round by round", candidate_grid(rows), marks),
+        replace(Table.of(candidate_grid(rows), prose=_PROSE), marks=marks),
         Words(f"{legend_of(rows)} {more} more promised too little to be fitted.", "quiet"),
     )
 
@@ -198,8 +194,3 @@ def _who(d: Diagnosis) -> tuple[Block, ...]:
 def _lines(found: Any) -> tuple[Block, ...]:
     # The lines may be those of a table.
     return () if found is None else (Words("\n".join(found.lines), "code"),)
-
-
-def _table(caption: str, grid: list[tuple[str, ...]], marks: tuple[str, ...] = ()) -> Table:
-    heads = tuple(Head(h, numeric=h not in WORD_COLUMNS, prose=h in _PROSE) for h in grid[0])
-    return Table(caption, heads, tuple(grid[1:]), marks)

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.scales import scale_of
+from comparisons.missing_effect.quantities import number_rows
+from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.scales import scale_of, typical
+from comparisons.missing_effect.where_words import SYMBOLS
 from surge_core.display import Displayed, Field, Grid, Sheet
-from surge_core.rounding import round_to_error
-from surge_core.types import BoolArray, FloatArray
+from surge_core.rounding import bracketed, significant
 
 __all__ = [
     "CLEAR",
@@ -22,7 +24,6 @@ __all__ = [
     "SIZE",
     "Absent",
     "CandidateRow",
-    "CheckRun",
     "Diagnosis",
     "FittedParameter",
     "Gap",
@@ -38,8 +39,6 @@ SIZE = "size_in_errors"
 CORRELATION, MUCH_CORRELATED = "largest_correlation", 0.9
 # Verdicts that leave nothing open.
 CLEAR = ("named", "nothing_missing", "alias_set")
-# A check whose error grew beyond this factor is worse.
-WORSE = 1.02
 
 
 @dataclass(frozen=True)
@@ -185,112 +184,6 @@ class ParameterRow:
     before_stderr: float
     after_stderr: float
     at_bound: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class CheckRun:
-    """Rows simulated without and with what was added, by fits to the fitted rows.
-
-    Parameters
-    ----------
-    name : str
-        Of the record.
-    kind : {"fitted", "held out", "left out", "check"}
-        Fitted; held out of the fits; left out in turn, cycle by cycle; or a record that is only
-        simulated.
-    period_s : float
-        Sample period.
-    time_s : ndarray of shape (n,)
-        Clock of the record.
-    outputs : mapping of str to str
-        Names and units.
-    measured, before, after : ndarray of shape (n, n_y)
-        Outputs; what is not a number is not scored.
-    settle : int
-        Rows at the start that are not scored.
-    signals : mapping of str to ndarray of shape (n,)
-        Measured inputs and outputs.
-    refitted : ndarray of shape (n, n_y), optional
-        The model with what was added, its parameters fitted to this very record.
-    """
-
-    name: str
-    kind: str
-    period_s: float
-    time_s: FloatArray
-    outputs: Mapping[str, str]
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-    settle: int = 0
-    signals: Mapping[str, FloatArray] = field(default_factory=dict)
-    refitted: FloatArray | None = None
-
-    @property
-    def held_out(self) -> bool:
-        """Whether nothing was fitted to it."""
-        return self.kind != "fitted"
-
-    @property
-    def title(self) -> str:
-        """Name and kind."""
-        return f"{self.name} ({self.kind})"
-
-    @property
-    def scored(self) -> int:
-        """How many rows count."""
-        return int(np.count_nonzero(np.isfinite(self.measured[self.settle :]).any(axis=1)))
-
-    def errors(self, *, before: bool) -> FloatArray:
-        """Return the errors of the scored rows, of shape (n, n_y).
-
-        Parameters
-        ----------
-        before : bool
-            Of the model as it was, or else with what was added.
-        """
-        return np.asarray((self.measured - (self.before if before else self.after))[self.settle :])
-
-    @property
-    def before_rms(self) -> FloatArray:
-        """The rms error of each output of the model as it was."""
-        return rms(self.errors(before=True))
-
-    @property
-    def after_rms(self) -> FloatArray:
-        """The rms error of each output of the model with what was added."""
-        return rms(self.errors(before=False))
-
-    @property
-    def swing(self) -> FloatArray:
-        """The standard deviation of each output; 1 where it does not move."""
-        swing = np.nanstd(self.measured[self.settle :], axis=0)
-        return np.asarray(np.where(swing > 0.0, swing, 1.0))
-
-    @property
-    def worse(self) -> BoolArray:
-        """Whether what was added made the error of each output larger, beyond rounding."""
-        return np.asarray(self.after_rms > WORSE * self.before_rms)
-
-    @property
-    def refitted_rms(self) -> FloatArray:
-        """The same by a fit to this very record; what is above it no other record knows."""
-        if self.refitted is None:
-            return np.full(len(self.outputs), np.nan)
-        return rms((self.measured - self.refitted)[self.settle :])
-
-
-def rms(errors: FloatArray) -> FloatArray:
-    """Return the rms of each column over the rows that were read; NaN where none was simulated.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n, n_y)
-        Errors.
-    """
-    there = np.isfinite(errors)
-    total = np.sum(np.where(there, errors, 0.0) ** 2, axis=0)
-    return np.asarray(np.sqrt(total / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))
 
 
 @dataclass(frozen=True)
@@ -451,38 +344,59 @@ class Diagnosis(Displayed):
         """Return why the name of an effect is not firm; empty where it is."""
         return item.doubts if item.provisional else ()
 
-    def _sheet(self) -> Sheet:
-        found = tuple(
-            (" or ".join(item.alias_labels or (item.label,)), item.equation)
-            for item in self.missing
-        )
-        parameters = tuple(
-            (
-                row.name,
-                round_to_error(row.after, row.after_stderr),
-                "-" if row.unit == "1" else row.unit,
-                "at its bound" if row.at_bound else "",
-            )
-            for row in self.parameters
-        )
-        columns = ("record", "output", *(("before", "after") if found else ("rms",)))
-        errors = tuple(
-            (run.title, name, *_sizes(run, j, unit, bool(found)))
-            for run in self.runs
-            for j, (name, unit) in enumerate(run.outputs.items())
-        )
-        grids = [
-            Grid("rms error of the free run", columns, errors, frozenset({0, 1})),
-            Grid(
-                "Parameters with what was added" if found else "Parameters",
-                ("parameter", "value ± std error", "unit", "note"),
-                parameters,
-                frozenset({0, 2, 3}),
-                folded=len(parameters) > 8,
-            ),
+    def effect_grid(self) -> Grid:
+        """Return a row for each number of what is missing."""
+        rows: list[tuple[str, ...]] = []
+        for item in self.missing:
+            more = len(item.alias_labels) - 2
+            labels = " or ".join(item.alias_labels[:2]) + f" or {more} more" * (more > 0)
+            numbers = number_rows(item.effect, item.parameters) or (("", ""),)
+            first = (labels, item.equation)
+            rows += [(*(first if i == 0 else ("", "")), *n) for i, n in enumerate(numbers)]
+        header = ("effect", "adds", "number", "value")
+        return Grid("What is missing", header, tuple(rows), frozenset(range(3)))
+
+    def parameter_grid(self) -> Grid:
+        """Return a row for each parameter of the model."""
+        rows = []
+        for row in self.parameters:
+            scale = scale_of(row.unit, (row.before, row.after))
+            values = [(row.after, row.after_stderr)]
+            if self.missing:
+                values.insert(0, (row.before, row.before_stderr))
+            cells = [bracketed(scale.factor * v, scale.factor * error) for v, error in values]
+            bound = ", at its bound" if row.at_bound else ""
+            rows.append((row.name, *cells, scale.unit + bound))
+        both = ("before", "after") if self.missing else ("value",)
+        header = ("parameter", *both, "unit")
+        words = frozenset((0, len(header) - 1))
+        title = "Parameters; standard errors in the last digits"
+        return Grid(title, header, tuple(rows), words, folded=len(rows) > 8)
+
+    def errors_grid(self) -> Grid:
+        """Return a row for each output of each run."""
+        sizes = [np.array([run.before_rms, run.after_rms]) for run in self.runs]
+        scales = [
+            scale_of(unit, [typical(np.ravel([size[:, j] for size in sizes]))])
+            for j, unit in enumerate(self.outputs.values())
         ]
-        if found:
-            grids.insert(0, Grid("Missing", ("effect", "adds"), found, frozenset({0, 1}), marked=0))
+        rows = []
+        for run, size in zip(self.runs, sizes, strict=True):
+            for j, name in enumerate(run.outputs):
+                before, after = float(size[0, j]), float(size[1, j])
+                fell = [scales[j].text(after, 4)]
+                if self.missing:
+                    ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
+                    fell = [scales[j].text(before, 4), *fell, ratio]
+                share = f"{significant(100.0 * after / float(run.swing[j]), 3)} %"
+                kind = f"{run.scored} {run.kind}"
+                rows.append((run.name, kind, SYMBOLS.get(name, name), *fell, share))
+        both = ("before", "after", "smaller") if self.missing else ("rms",)
+        header = ("record", "rows", "output", *both, "of the swing")
+        return Grid("rms errors of the free run", header, tuple(rows), frozenset(range(3)))
+
+    def _sheet(self) -> Sheet:
+        grids = (self.effect_grid(), self.errors_grid(), self.parameter_grid())
         verdict = self.verdict.replace("_", " ")
         return Sheet(
             f"Diagnosis of {self.title}: {verdict}",
@@ -490,11 +404,5 @@ class Diagnosis(Displayed):
                 Field("verdict", verdict, "good" if self.verdict in CLEAR else "advice"),
                 *((Field("remarks", self.remarks, "advice"),) if self.remarks else ()),
             ),
-            tuple(grids),
+            tuple(grid for grid in grids if grid.rows),
         )
-
-
-def _sizes(run: CheckRun, j: int, unit: str, two: bool) -> tuple[str, ...]:
-    pair = (float(run.before_rms[j]), float(run.after_rms[j]))
-    scale = scale_of(unit, pair)
-    return tuple(scale.text(size) for size in pair[0 if two else 1 :])

@@ -8,7 +8,8 @@ import numpy as np
 
 from comparisons.missing_effect.lag_curves import lag_where
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.results import CheckRun, Diagnosis
+from comparisons.missing_effect.results import Diagnosis
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.where import Where

@@ -7,44 +7,33 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.lag_words import noise_words
-from comparisons.missing_effect.quantities import chance, number_rows, open_words
+from comparisons.missing_effect.quantities import chance, open_words
 from comparisons.missing_effect.results import CandidateRow, Diagnosis
-from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import wheres_of
 from comparisons.missing_effect.where import Where
-from comparisons.missing_effect.where_words import SYMBOLS, describe
+from comparisons.missing_effect.where_words import describe
 from comparisons.missing_effect.words import (
     confirm_words,
     effect_words,
     ledger_words,
-    plain_name,
     verdict_words,
 )
+from surge_core.display import Grid
 from surge_core.rounding import bracketed, log_units, significant
 
 __all__ = [
     "TOO_SHORT",
-    "WORD_COLUMNS",
     "candidate_grid",
     "diagnosis_text",
-    "effect_grid",
-    "errors_grid",
     "legend_of",
     "on_records",
-    "parameter_grid",
     "timing_words",
 ]
 
 WIDTH = 100
-WORD_COLUMNS = (
-    *("effect", "where it acts", "number", "candidate", "fate", "parameter", "unit", "note"),
-    *("record", "rows", "output"),
-)
 # Of a long ranking the best are printed; --json holds all.
 ROWS_PRINTED = 8
 TOO_SHORT = "The records are too short to say where, or could not be simulated."
@@ -55,8 +44,6 @@ _REFUSED = {
     "held-out blocks": "z",
     "share": "explains",
 }
-
-Grid = list[tuple[str, ...]]
 
 
 def diagnosis_text(d: Diagnosis, *, limits: Any = None, separation: Any = None) -> str:
@@ -74,9 +61,9 @@ def diagnosis_text(d: Diagnosis, *, limits: Any = None, separation: Any = None) 
     parts = [
         [f"VERDICT: {d.verdict}", *_wrapped(words)],
         _effects(d),
-        ["Parameters", *_aligned(parameter_grid(d))] if d.parameters else [],
+        _table(d.parameter_grid()) if d.parameters else [],
         _wrapped(timing_words(d)) if isinstance(d, SystemDiagnosis) else [],
-        ["rms errors of the free run", *_aligned(errors_grid(d))],
+        _table(d.errors_grid()),
         _where(d),
         _wrapped(noise_words(lag)) if lag and lag.verdict != "noise_model_wrong" else [],
         _candidates(d),
@@ -88,72 +75,8 @@ def diagnosis_text(d: Diagnosis, *, limits: Any = None, separation: Any = None) 
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def effect_grid(d: Diagnosis) -> Grid:
-    """Return a line for each number of what is missing, heads first.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
-    rows: Grid = [("effect", "where it acts", "number", "value")]
-    for item in d.missing:
-        first = ("a term without a name" if item.unnamed else plain_name(item.effect), item.label)
-        numbers = number_rows(item.effect, item.parameters) or (("", ""),)
-        rows += [(*(first if i == 0 else ("", "")), *pair) for i, pair in enumerate(numbers)]
-    return rows
-
-
-def parameter_grid(d: Diagnosis) -> Grid:
-    """Return a line for each parameter of the model, heads first.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
-    both = bool(d.missing)
-    rows: Grid = [("parameter", *(("before", "after") if both else ("value",)), "unit", "note")]
-    for row in d.parameters:
-        scale = scale_of(row.unit, (row.before, row.after))
-        values = [(row.after, row.after_stderr)]
-        values[:0] = [(row.before, row.before_stderr)] * both
-        cells = [bracketed(scale.factor * value, scale.factor * error) for value, error in values]
-        rows.append((row.name, *cells, scale.unit, "at its bound" if row.at_bound else ""))
-    return rows if any(row[-1] for row in rows[1:]) else [row[:-1] for row in rows]
-
-
-def errors_grid(d: Diagnosis) -> Grid:
-    """Return a line for each output of each run, heads first.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
-    both = bool(d.missing)
-    heads = ("before", "after", "smaller") if both else ("rms",)
-    rows: Grid = [("record", "rows", "output", *heads, "of the swing")]
-    sizes = [np.array([run.before_rms, run.after_rms]) for run in d.runs]
-    scales = [
-        scale_of(unit, [typical(np.ravel([size[:, j] for size in sizes]))])
-        for j, unit in enumerate(d.outputs.values())
-    ]
-    for run, size in zip(d.runs, sizes, strict=True):
-        for j, name in enumerate(run.outputs):
-            before, after = float(size[0, j]), float(size[1, j])
-            fell = [scales[j].text(after, 4)]
-            if both:
-                ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
-                fell = [scales[j].text(before, 4), *fell, ratio]
-            share = f"{significant(100.0 * after / float(run.swing[j]), 3)} %"
-            kind = f"{run.scored} {run.kind}"
-            rows.append((run.name, kind, SYMBOLS.get(name, name), *fell, share))
-    return rows
-
-
 def candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
-    """Return a line for each candidate, heads first; columns that no row fills are left out.
+    """Return a line for each candidate, without columns that none fills.
 
     Parameters
     ----------
@@ -181,9 +104,11 @@ def candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
         ),
         "fate": _fate,
     }
-    lines: Grid = [tuple(columns), *(tuple(cell(row) for cell in columns.values()) for row in rows)]
-    kept = [j for j in range(len(columns)) if any(line[j] for line in lines[1:])]
-    return [tuple(line[j] for j in kept) for line in lines]
+    lines = [tuple(cell(row) for cell in columns.values()) for row in rows]
+    kept = [j for j in range(len(columns)) if any(line[j] for line in lines)]
+    header = tuple(list(columns)[j] for j in kept)
+    words = frozenset((header.index("candidate"), header.index("fate")))
+    return Grid("Who was tried", header, tuple(tuple(r[j] for j in kept) for r in lines), words)
 
 
 def legend_of(rows: Sequence[CandidateRow]) -> str:
@@ -232,11 +157,9 @@ def on_records(wheres: Sequence[Where]) -> str:
 def _effects(d: Diagnosis) -> list[str]:
     if not d.missing:
         return []
-    lines = ["What is missing", *_aligned(effect_grid(d))]
-    for item in d.missing:
-        for words in (effect_words(item), *confirm_words(item)):
-            lines += _wrapped(f"  {words}", "    ")
-    return lines
+    lines = _table(d.effect_grid())
+    said = [words for i in d.missing for words in (effect_words(i), *confirm_words(i)) if words]
+    return [*lines, *(line for words in said for line in _wrapped(f"  {words}", "    "))]
 
 
 def _where(d: Diagnosis) -> list[str]:
@@ -254,7 +177,7 @@ def _candidates(d: Diagnosis) -> list[str]:
     for number in dict.fromkeys(row.round for row in fitted):
         own = [row for row in fitted if row.round == number]
         kept += [r for i, r in enumerate(own) if i < ROWS_PRINTED or r.chosen or r.alias]
-    lines = ["Who was tried", *_aligned(candidate_grid(kept))]
+    lines = _table(candidate_grid(kept))
     more = len(d.candidates) - len(kept)
     lines += [f"and {more} more (--json holds all)"] if more else []
     return [*lines, *_wrapped(legend_of(kept))]
@@ -269,18 +192,8 @@ def _gain(gain: float) -> str:
     return log_units(gain, "")
 
 
-def _aligned(lines: Grid) -> list[str]:
-    """Return a table with numbers to the right and words to the left."""
-    heads = lines[0]
-    widths = [max(len(line[j]) for line in lines) for j in range(len(heads))]
-    return [
-        "  "
-        + "  ".join(
-            cell.ljust(width) if head in WORD_COLUMNS else cell.rjust(width)
-            for head, cell, width in zip(heads, line, widths, strict=True)
-        ).rstrip()
-        for line in lines
-    ]
+def _table(grid: Grid) -> list[str]:
+    return [grid.title, *(f"  {line}" for line in grid.lines())]
 
 
 def _wrapped(prose: str, later: str = "") -> list[str]:

@@ -17,17 +17,16 @@ from comparisons.missing_effect.lag_words import (
     tau_words,
 )
 from comparisons.missing_effect.limit_table import size_words
-from comparisons.missing_effect.quantities import PORT_WORDS, number_rows, tau_ms
+from comparisons.missing_effect.quantities import PORT_WORDS, number_rows, plain_name, tau_ms
 from comparisons.missing_effect.results import (
     CORRELATION,
     MUCH_CORRELATED,
     SIZE,
     CandidateRow,
-    CheckRun,
     Diagnosis,
     MissingEffect,
-    rms,
 )
+from comparisons.missing_effect.runs import CheckRun, rms
 from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.where_words import SYMBOLS
@@ -38,7 +37,6 @@ __all__ = [
     "effect_words",
     "ledger_words",
     "named",
-    "plain_name",
     "pooled_rms",
     "verdict_words",
 ]
@@ -105,7 +103,7 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
 
 
 def effect_words(item: MissingEffect) -> str:
-    """Say what an effect adds, what happens, and what a lag suffers without it.
+    """Say what happens, and what a lag suffers without it.
 
     Parameters
     ----------
@@ -113,8 +111,8 @@ def effect_words(item: MissingEffect) -> str:
         What was found.
     """
     on_tau = f"What leaving it out does to τ: {item.on_tau}." if item.on_tau else ""
-    said = [f"{item.label}: {item.equation}.", _sentence(item.says), on_tau]
-    return " ".join(filter(None, said))
+    says = _sentence(item.says)
+    return " ".join(filter(None, [f"{item.label}: {says}" if says else "", on_tau]))
 
 
 def confirm_words(item: MissingEffect) -> tuple[str, ...]:
@@ -153,11 +151,6 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
         for why, names in reasons.items()
     ]
     return tuple(out)
-
-
-def plain_name(name: str) -> str:
-    """Return the name of an effect as it is read: without underscores."""
-    return name.replace("_", " ")
 
 
 def named(item: MissingEffect) -> str:
@@ -249,7 +242,8 @@ def _fall_words(d: Diagnosis) -> str:
             listed.append(f"stays at {scale.text(after)} in {of}")
             continue
         times = f"{significant(before / after, 3)} times smaller" if after else "no error left"
-        fell = f"goes from {scale.text(before)} to {scale.text(after)} in {of}"
+        verb = "" if listed and listed[-1].endswith(")") else "goes "
+        fell = f"{verb}from {scale.text(before)} to {scale.text(after)} in {of}"
         listed.append(f"{fell} ({times if after < before else 'not smaller'})")
     share = ""
     if d.gap.shrink > 0.0:
@@ -341,7 +335,7 @@ def _left_words(d: Diagnosis) -> str:
         if not np.isfinite(left):
             return f"The simulation of {name} fails on these records."
         scale, of = scale_of(unit, (left,)), SYMBOLS.get(name, name)
-        noise = f", {scale.text(d.floor[j])} of it new in each sample" if j < len(d.floor) else ""
+        noise = f" for a noise of {scale.text(d.floor[j])}" if j < len(d.floor) else ""
         listed.append(f"{scale.text(left)} in {of}{noise}")
     tau = ""
     if isinstance(d, LagDiagnosis):
@@ -350,8 +344,9 @@ def _left_words(d: Diagnosis) -> str:
 
 
 def _sentence(words: str) -> str:
-    # ψ has no capital in this field.
-    words = words[:1].upper() + words[1:] if words[:1].isascii() else words
+    # ψ has no capital in this field, nor has the name of an effect.
+    first = words.partition(" ")[0]
+    words = words[:1].upper() + words[1:] if first.isalpha() and first.isascii() else words
     return words if not words or words.endswith(".") else f"{words}."
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.results import (
-    CheckRun,
     FittedParameter,
     MissingEffect,
     ParameterRow,
 )
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment

@@ -10,11 +10,11 @@ import numpy as np
 from comparisons.missing_effect.nulls import Leftover
 from comparisons.missing_effect.results import (
     CORRELATION,
-    CheckRun,
     FittedParameter,
     MissingEffect,
     ParameterRow,
 )
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of

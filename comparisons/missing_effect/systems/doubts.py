@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from comparisons.missing_effect.nulls import Leftover, foretold
-from comparisons.missing_effect.results import CheckRun, FittedParameter
+from comparisons.missing_effect.results import FittedParameter
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.linearised import FINE

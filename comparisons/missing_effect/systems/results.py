@@ -11,19 +11,18 @@ import numpy as np
 
 from comparisons.missing_effect.results import (
     CandidateRow,
-    CheckRun,
     Diagnosis,
     FittedParameter,
     Gap,
-    ParameterRow,
 )
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.search import Candidate, Round
 from surge_core.types import FloatArray
 
-__all__ = ["CheckRun", "ParameterRow", "SystemDiagnosis"]
+__all__ = ["SystemDiagnosis"]
 
 SHARE_UNIT = "1 (share of swing)"
 

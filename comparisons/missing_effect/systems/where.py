@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.missing_effect.results import CheckRun, MissingEffect
+from comparisons.missing_effect.results import MissingEffect
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.where import Residuals, Where
 from comparisons.missing_effect.where import where_of as where_of_residuals

@@ -11,7 +11,7 @@ import pytest
 from made_systems import made_diagnosis
 
 from classic_ml.records import FloatArray
-from comparisons.missing_effect.results import CheckRun
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.where import where_of
 
 PERIOD_S = 0.01
