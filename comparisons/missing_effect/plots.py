@@ -183,12 +183,15 @@ def _lines(d: Diagnosis) -> list[str]:
 def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: slice, j: int) -> None:
     """Draw an output and its residuals on a stretch."""
     time_s = run.time_s[rows]
-    measured, before, after = (v[rows, j] for v in (run.measured, run.before, run.after))
+    # Where the clock jumps, another segment begins.
+    jump = np.diff(time_s, prepend=time_s[0]) > 1.5 * run.period_s
+    all_values = (run.measured, run.before, run.after)
+    measured, before, after = (np.where(jump, np.nan, v[rows, j]) for v in all_values)
     name, unit = list(run.outputs.items())[j]
-    # From reading to reading, also where they are not in every row.
-    there = np.isfinite(measured)
+    # From reading to reading, also where they are not in every row; rows that are not scored part.
+    there = np.isfinite(measured) | ~np.isfinite(after)
     read_s, measured = time_s[there], measured[there]
-    scale = scale_of(unit, [float(np.max(np.abs(measured), initial=0.0))])
+    scale = scale_of(unit, [_largest(measured)])
     models = [(after, AFTER, "simulated", "-")]
     if d.missing:
         models = [(before, BEFORE, "before", "-"), (after, AFTER, "after", (0, (4, 1.2)))]  # type: ignore[list-item]
@@ -201,8 +204,7 @@ def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: sli
     upper.tick_params(labelbottom=False)
     upper.set_ylabel(printable(scale.bracketed), fontsize=9)
     errors = [measured - values[there] for values, *_ in models]
-    sizes = [float(np.max(np.abs(e[np.isfinite(e)]), initial=0.0)) for e in errors]
-    own = scale_of(unit, sizes)
+    own = scale_of(unit, map(_largest, errors))
     if j < len(d.floor) and d.floor[j] > 0.0:
         for side in (-2.0, 2.0):
             lower.axhline(side * own.factor * d.floor[j], color=QUIET, lw=0.7, ls=(0, (5, 2)))
@@ -217,6 +219,10 @@ def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: sli
     first = f"{significant(sizes[0] * fall.factor, 3)} → " if d.missing else ""
     shown = printable(f"{SYMBOLS.get(name, name)}: rms {first}{fall.text(sizes[1])}", 44)
     upper.set_title(shown, **LEFT)
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
 
 
 def _candidates(ax: Axes, d: Diagnosis) -> None:
