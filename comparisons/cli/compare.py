@@ -38,6 +38,7 @@ __all__ = ["COMMAND", "comparison_lines", "models_to_save"]
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
+    from comparisons.harness.answer import answer_of
     from comparisons.harness.saved_models import save_models
     from comparisons.show.json_output import comparison_document
     from comparisons.show.report import ReportSection, render_report
@@ -46,9 +47,11 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
 
+    stated = None if _by_rise(records) else work
+
     def page() -> str:
         return render_report(
-            [ReportSection(title=title, comparison=comparison, work=work)],
+            [ReportSection(title=title, comparison=comparison, work=stated)],
             title=f"Comparison on {title}",
             command=command_line(),
             progress=drawing,
@@ -58,7 +61,16 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     if given.save:
         save_models(models_to_save(comparison, work), given.save)
         written.append(f"models: {given.save}")
-    return *comparison_lines(comparison, work), *written
+    lines = [str(answer_of(comparison)), "", *comparison_lines(comparison, stated)]
+    return *lines, *_by_rise(records), *written
+
+
+def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
+    """Return the sentence that no ψ_QS is stated; none where ψ is no worse than ψ'."""
+    from comparisons.harness.cautions import psi_by_rise
+
+    found = [psi_by_rise(record.history) for record in records if record.psi is not None]
+    return list(dict.fromkeys(f"{caution.text}\n" for caution in found if caution is not None))
 
 
 def comparison_lines(comparison: Comparison, work: Comparison | None) -> Iterator[str]:
@@ -118,6 +130,8 @@ def _compare(
         **options,
     )
     if any(record.psi is None for record in records):
+        return comparison, None
+    if _by_rise(records) and not (given.json or given.save):
         return comparison, None
     try:
         return comparison, compare_records(records, target="psi", **options)

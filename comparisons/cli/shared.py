@@ -36,6 +36,7 @@ __all__ = [
     "seed",
     "time_constant",
     "whole",
+    "working",
     "write_asked",
     "writes",
 ]
@@ -281,6 +282,17 @@ def fitting(items: Iterable[Any]) -> Iterable[Any]:
         What is fitted.
     """
     return shown_over(items, unit="fit", words="fitting")
+
+
+def working(items: Iterable[Any]) -> Iterable[Any]:
+    """Show how far the passes of a step are, on a terminal only.
+
+    Parameters
+    ----------
+    items : iterable
+        What is worked through.
+    """
+    return shown_over(items, unit="pass")
 
 
 def drawing(items: Iterable[Any]) -> Iterable[Any]:
