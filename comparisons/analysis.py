@@ -118,6 +118,7 @@ def _analysed(
     from classic_ml.reduction import reduce_record
     from classic_ml.whole_record_fit import N_TWINS
     from comparisons.harness.answer import answer_of
+    from comparisons.harness.cautions import unknown_work
     from comparisons.harness.compare import compare_records
     from comparisons.harness.structure_fit import find_structure
     from comparisons.harness.work_fit import fit_work
@@ -168,7 +169,12 @@ def _analysed(
         readings=readings,
         verdict=diagnosis.verdict if diagnosis else "",
         missing=missing,
-        refused=[f"{step}: {why}" for step, why in refusals.items()],
+        # Why ψ is not known the comparison says, from the ledger.
+        refused=[
+            f"{step}: {why}"
+            for step, why in refusals.items()
+            if step != "work" or unknown_work(reduction.record.history) is None
+        ],
     )
     return Analysis(answer, inspection, reduction, comparison, structure, diagnosis, work, refusals)
 

@@ -97,6 +97,7 @@ def _fitted(demo: _Demo, case: str, title: str) -> None:
     from comparisons.harness.answer import answer_of
     from comparisons.harness.compare import compare_records
     from comparisons.harness.saved_models import save_models
+    from comparisons.page.blocks import Part
     from comparisons.show.report import ReportSection
 
     demo.begin(f"{title}: simulating the test and reducing its counts")
@@ -122,7 +123,8 @@ def _fitted(demo: _Demo, case: str, title: str) -> None:
     said: dict[str, Any] = {}
     if case == FITTED[0][0]:
         demo.begin("looking for what is missing in this record")
-        d, extra = _diagnosed(demo, series, rig)
+        d, parts = _diagnosed(demo, series, rig)
+        extra = (Part.together("Evidence: what is missing", parts),)
         said = {"verdict": d.verdict, "missing": missing_words(d)}
     answer = answer_of(comparison, test=reduction.test.name, **said)
     demo.answers.append(str(answer))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -281,6 +281,20 @@ class Part:
     title: str
     blocks: tuple[Block, ...]
     folded: bool = False
+
+    @classmethod
+    def together(cls, title: str, parts: Iterable[Part]) -> Part:
+        """Return parts as one, the title of each a heading in it.
+
+        Parameters
+        ----------
+        title : str
+            Its heading.
+        parts : iterable of Part
+            In order.
+        """
+        pairs = [(Words(part.title, "heading"), *part.blocks) for part in parts]
+        return cls(title, tuple(block for blocks in pairs for block in blocks))
 
     @property
     def pictures(self) -> tuple[Picture, ...]:

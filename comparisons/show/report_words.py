@@ -113,9 +113,10 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
         The truth.
     """
     items = []
-    low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
     for row in fit.table:
-        phi, value, _ = np.asarray(fit.result(row.estimator).model.table).T
+        model = fit.result(row.estimator).model
+        low, high = max(model.valid_phi[0], truth.phi[0]), min(model.valid_phi[1], truth.phi[-1])
+        phi, value, _ = np.asarray(model.table).T
         known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
         curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
@@ -123,8 +124,8 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     return Bullets(
         tuple(items),
         "plain",
-        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves where "
-        f"φ dwells and the truth is known, from {low:.3f} to {high:.3f}",
+        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves over "
+        "the φ that each estimator scored",
     )
 
 

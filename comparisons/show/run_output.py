@@ -11,7 +11,7 @@ from comparisons.analysis import Analysis
 from comparisons.missing_effect.document import diagnosis_document
 from comparisons.missing_effect.shown import where_of
 from comparisons.missing_effect.where import Where
-from comparisons.page.blocks import Block, Part, Words
+from comparisons.page.blocks import Part, Words
 from comparisons.show.diagnose_report import diagnosis_parts
 from comparisons.show.inspection import inspect_document, inspect_text
 from comparisons.show.json_output import comparison_document, record_document
@@ -70,9 +70,9 @@ def run_report(
     parts: list[Part] = []
     if found.diagnosis is not None:
         parts += diagnosis_parts(found.diagnosis, _where(found))
-    extra = [_together("Evidence: what is missing", parts)]
+    extra = [Part.together("Evidence: what is missing", parts)]
     if found.structure is not None:
-        extra.append(_together("Evidence: terms of ψ'_QS", structure_parts(found.structure)))
+        extra.append(Part.together("Evidence: terms of ψ'_QS", structure_parts(found.structure)))
     if found.work is not None:
         words = Words(work_table(found.work, searched=True), "code")
         extra.append(Part("Evidence: ψ_QS from the power", (words,)))
@@ -86,14 +86,6 @@ def run_report(
     )
     title = f"Surge record {PurePath(found.inspection.source).name}"
     return render_report([section], title=title, command=command, progress=progress)
-
-
-def _together(title: str, parts: Iterable[Part]) -> Part:
-    """Return parts as one, the title of each a heading in it."""
-    blocks: list[Block] = []
-    for part in parts:
-        blocks += [Words(part.title, "heading"), *part.blocks]
-    return Part(title, tuple(blocks))
 
 
 def _where(found: Analysis) -> Where | None:
