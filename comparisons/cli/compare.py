@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
+    FIGURES,
     HOLD,
     JSON,
     REPORT,
     SERIES,
     Command,
     argument,
+    check_folder,
     command_line,
     drawing,
     fitting,
     read_records,
     reads,
+    take_away,
     time_constant,
     whole,
     write_asked,
@@ -40,28 +43,31 @@ __all__ = ["COMMAND", "comparison_lines", "models_to_save"]
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.answer import answer_of
     from comparisons.harness.saved_models import save_models
+    from comparisons.page.html import render_page
     from comparisons.show.json_output import comparison_document
-    from comparisons.show.report import ReportSection, render_report
+    from comparisons.show.report import ReportSection, report_pages
 
+    if given.figures:
+        check_folder(given.figures)
     records = read_records(given.series)
     comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
 
     stated = None if _by_rise(records) else work
+    answer = answer_of(comparison)
+    section = ReportSection(title=title, comparison=comparison, work=stated, answer=answer)
+    pages = report_pages([section]) if given.report or given.figures else []
 
     def page() -> str:
-        return render_report(
-            [ReportSection(title=title, comparison=comparison, work=stated)],
-            title=f"Comparison on {title}",
-            command=command_line(),
-            progress=drawing,
-        )
+        head = f"Comparison on {title}"
+        return render_page(pages, title=head, command=command_line(), progress=drawing)
 
     written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
     if given.save:
-        save_models(models_to_save(comparison, work), given.save)
+        save_models(models_to_save(comparison, work), given.save, comparison.recommended)
         written.append(f"models: {given.save}")
-    lines = [str(answer_of(comparison)), "", *comparison_lines(comparison, stated)]
+    written += take_away(given.figures, pages, answer)
+    lines = [str(answer), "", *comparison_lines(comparison, stated)]
     return *lines, *_by_rise(records), *written
 
 
@@ -183,6 +189,7 @@ COMMAND = Command(
         SERIES,
         JSON,
         REPORT,
+        FIGURES,
         writes("--save", metavar="MODEL", help="save the fitted models"),
         reads(
             "--model",

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import Command, argument, command_line, drawing, seed
-from surge_core.errors import InputError
+from comparisons.cli.shared import Command, argument, check_folder, command_line, drawing, seed
 from surge_core.files import write_whole
 from surge_core.progress import shown_steps
 
@@ -68,10 +67,7 @@ class _Demo:
 def _run(given: argparse.Namespace) -> Iterable[str]:
     """Run the whole way on simulated tests, and write the report."""
     folder = given.out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError(str(folder), expected="a folder to write to", found="a file") from None
+    check_folder(folder).mkdir(parents=True, exist_ok=True)
     with shown_steps(STEPS_S, lines=True) as begin:
         begin("loading; the first run compiles for some seconds")
         from comparisons.show.report import render_report
@@ -105,7 +101,8 @@ def _fitted(demo: _Demo, case: str, title: str) -> None:
     demo.begin(f"{title}: fitting the estimators of ψ'")
     series = reduction.series
     comparison = compare_records([series])
-    save_models(models_to_save(comparison), demo.folder / f"models_{case}.json")
+    models = demo.folder / f"models_{case}.json"
+    save_models(models_to_save(comparison), models, comparison.recommended)
     truth = _truth(rig, "psi_p")
     _against_truth(demo, title, comparison, truth)
     validation = []

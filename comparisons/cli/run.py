@@ -6,8 +6,17 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from comparisons.cli.shared import RAW, Command, argument, command_line, drawing, working
-from surge_core.errors import InputError
+from comparisons.cli.shared import (
+    FIGURES,
+    RAW,
+    Command,
+    argument,
+    check_folder,
+    command_line,
+    drawing,
+    take_away,
+    working,
+)
 from surge_core.files import check_apart, to_strict_json, write_whole
 from surge_core.progress import shown_steps
 
@@ -20,16 +29,20 @@ DRAWING_S = 5.0
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
     from comparisons.analysis import STEPS, analyse
-    from comparisons.show.run_output import run_document, run_report
+    from comparisons.page.html import render_page
+    from comparisons.show.run_output import run_document, run_pages
 
-    folder = _folder(given.out)
+    folder = check_folder(given.out)
+    if given.figures:
+        check_folder(given.figures)
     written = [folder / name for name in (SERIES, NUMBERS, PAGE)]
     check_apart([given.raw, given.test], written)
     with shown_steps([*STEPS.values(), DRAWING_S]) as begin:
         twins = not given.no_twins
         found = analyse(given.raw, given.test, twins=twins, begin=begin, progress=working)
         begin("drawing the page")
-        page = run_report(found, command=command_line(), progress=drawing)
+        pages, title = run_pages(found), f"Surge record {given.raw.name}"
+        page = render_page(pages, title=title, command=command_line(), progress=drawing)
         numbers = to_strict_json(run_document(found))
     folder.mkdir(parents=True, exist_ok=True)
     write_series(found.reduction.series, written[0])
@@ -37,16 +50,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     write_whole(written[2], page)
     labels = ("series", "numbers", "report")
     lines = [f"{label}: {path}" for label, path in zip(labels, written, strict=True)]
+    lines += take_away(given.figures, pages, found.answer)
     return str(found.answer), "", *lines
-
-
-def _folder(path: Path) -> Path:
-    for place in (path, *path.parents):
-        if place.exists():
-            if not place.is_dir():
-                raise InputError(str(path), expected="a folder to write to", found="a file")
-            break
-    return path
 
 
 COMMAND = Command(
@@ -64,6 +69,7 @@ COMMAND = Command(
             metavar="DIR",
             help="folder for the page, the numbers and the series (default: run)",
         ),
+        FIGURES,
         argument(
             "--no-twins",
             action="store_true",

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from classic_ml.records import LedgerEntry
     from classic_ml.reduction import Reduction
 
-__all__ = ["ReportSection", "render_report"]
+__all__ = ["ReportSection", "render_report", "report_pages"]
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
@@ -120,11 +120,22 @@ def render_report(
         channels, and what ledgers say, are data.
     """
     return render_page(
-        [(section.title, section_parts(section)) for section in sections],
+        report_pages(sections),
         title=title,
         command=command,
         progress=progress,
     )
+
+
+def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Part, ...]]]:
+    """Return the sections of a report as headings with their parts.
+
+    Parameters
+    ----------
+    sections : sequence of ReportSection
+        What the report is about.
+    """
+    return [(section.title, section_parts(section)) for section in sections]
 
 
 def section_parts(section: ReportSection) -> tuple[Part, ...]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import asdict
-from pathlib import PurePath
 from typing import Any
 
 from comparisons.analysis import Analysis
@@ -15,13 +13,13 @@ from comparisons.page.blocks import Part, Words
 from comparisons.show.diagnose_report import diagnosis_parts
 from comparisons.show.inspection import inspect_document, inspect_text
 from comparisons.show.json_output import comparison_document, record_document
-from comparisons.show.report import ReportSection, render_report
+from comparisons.show.report import ReportSection, report_pages
 from comparisons.show.structure_output import structure_document
 from comparisons.show.structure_report import structure_parts
 from comparisons.show.work_output import work_document, work_table
 from surge_core.errors import InputError
 
-__all__ = ["RUN_SCHEMA", "run_document", "run_report"]
+__all__ = ["RUN_SCHEMA", "run_document", "run_pages"]
 
 RUN_SCHEMA = "sindy-surge/run/1"
 
@@ -50,22 +48,13 @@ def run_document(found: Analysis) -> dict[str, Any]:
     return {"schema": RUN_SCHEMA, "answer": found.answer.to_json(), **steps}
 
 
-def run_report(
-    found: Analysis,
-    *,
-    command: str,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> str:
-    """Return an analysis as one self-contained HTML page.
+def run_pages(found: Analysis) -> list[tuple[str, tuple[Part, ...]]]:
+    """Return an analysis as the sections of a page.
 
     Parameters
     ----------
     found : Analysis
         The analysis.
-    command : str
-        The command line that made it.
-    progress : callable
-        Wraps the iteration over the pictures.
     """
     parts: list[Part] = []
     if found.diagnosis is not None:
@@ -84,8 +73,7 @@ def run_report(
         quality=(Words(inspect_text(found.inspection, None), "code"),),
         answer=found.answer,
     )
-    title = f"Surge record {PurePath(found.inspection.source).name}"
-    return render_report([section], title=title, command=command, progress=progress)
+    return report_pages([section])
 
 
 def _where(found: Analysis) -> Where | None:

@@ -6,8 +6,11 @@ import dataclasses
 import re
 from html.parser import HTMLParser
 from importlib.metadata import version
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from comparison_data import LINES, made_comparison, made_series
 from raw_data import make_test
@@ -15,10 +18,12 @@ from report_page import without_own_script
 
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, reduce_record
+from comparisons.harness.answer import answer_of
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Part, Words
 from comparisons.results import Caution, Truth
-from comparisons.show.report import ReportSection, render_report
+from comparisons.show.figures import write_curve, write_figures
+from comparisons.show.report import ReportSection, render_report, report_pages
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
 HEADINGS = ("Evidence", "Diagnosis", "Checks", "Data quality", "Ledger", "Settings")
@@ -199,3 +204,28 @@ def test_a_series_alone_is_drawn_as_loops_and_of_many_the_first() -> None:
     assert "ψ' over φ, r0.csv" in page.text
     assert "The first 4 of 6 records are drawn" in page.text
     assert "r5.csv" in page.text  # its ledger is printed all the same
+
+
+def test_pictures_tables_and_the_curve_can_be_taken_away(tmp_path: Path) -> None:
+    comparison = made_comparison()
+    pages = report_pages([ReportSection("x", comparison)])
+    n = write_figures(pages, tmp_path)
+    assert n == len(list(tmp_path.iterdir()))
+    for path in tmp_path.glob("*.svg"):
+        assert ElementTree.parse(path).getroot().tag.endswith("svg")
+    assert {p.stem for p in tmp_path.glob("*.svg")} == {p.stem for p in tmp_path.glob("*.pdf")}
+    (estimators,) = tmp_path.glob("table_01*.csv")
+    assert list(pd.read_csv(estimators)["τ [ms]"]) == ["18.01 ± 0.22", "30.1 ± 1.2", "20.00 ± ?"]
+    latex = estimators.with_suffix(".tex").read_text("utf-8")
+    assert r"\toprule" in latex
+    assert r"18.01 $\pm$ 0.22" in latex
+    assert r"classic\_ml" in latex
+    curve = answer_of(comparison).curve
+    assert curve is not None
+    write_curve(curve, tmp_path)
+    table = pd.read_csv(tmp_path / "characteristic.csv")
+    np.testing.assert_allclose(
+        np.polyval(curve.coefficients[::-1], table.phi), table.psi_p, atol=0.02
+    )
+    assert table.phi.min() >= curve.valid_phi[0]
+    assert table.phi.max() <= curve.valid_phi[1]
