@@ -61,7 +61,7 @@ def answer_of(
         time_constant_stderr_s=tau[1],
         ci95_s=model.ci95_s if chosen else (math.nan, math.nan),
         estimator=chosen or "",
-        label=first.label if chosen else "",
+        label=first.label,
         why=_believed(comparison, first) if chosen else _not_believed(comparison),
         others=_others(*tau, readings) if chosen else "",
         curve=_curve(comparison, first),

@@ -82,8 +82,10 @@ class Answer(Displayed):
         τ to quote and its standard error, in seconds; NaN where none may be quoted.
     ci95_s : tuple of float
         Its 95 % interval, in seconds.
-    estimator, label : str
-        The estimator to believe, by key and name; empty where none is recommended.
+    estimator : str
+        Key of the estimator to believe; empty where none is recommended.
+    label : str
+        Name of the estimator whose curve is shown.
     why : str
         Whom to believe and why, or why none.
     others : str
@@ -128,7 +130,8 @@ class Answer(Displayed):
         if self.curve is None:
             return "none to read"
         low, high = self.curve.valid_phi
-        return f"{self.curve.equation()}, for φ from {low:.3f} to {high:.3f}"
+        whose = "" if self.estimator else f"; by {self.label}, which is not recommended"
+        return f"{self.curve.equation()}, for φ from {low:.3f} to {high:.3f}{whose}"
 
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:

@@ -72,6 +72,7 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
     assert answer.estimator == ""
     assert "`sindy-surge reduce`" in answer.why
     assert "none to quote" in str(answer)
+    assert "which is not recommended" in answer.curve_words
     held = dataclasses.replace(comparison.results[0].model, time_constant_stderr_s=0.0)
     results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
     answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))
