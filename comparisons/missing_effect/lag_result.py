@@ -32,7 +32,29 @@ from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.types import FloatArray
 
-__all__ = ["LagDiagnosis"]
+__all__ = ["LagDiagnosis", "ReverseLoss"]
+
+
+@dataclass(frozen=True)
+class ReverseLoss:
+    """What the lag model leaves in reversed flow, and the loss that explains it.
+
+    Parameters
+    ----------
+    squared : ndarray of shape (n,)
+        φ² of the reversed rows, averaged as ψ' is.
+    left : ndarray of shape (n,)
+        Measured minus simulated ψ' there.
+    size : float
+        c of the loss c φ².
+    share : float
+        Share of the squares of ``left`` that it explains.
+    """
+
+    squared: FloatArray
+    left: FloatArray
+    size: float
+    share: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,6 +83,8 @@ class LagDiagnosis(Diagnosis):
         The search.
     ripple : RippleLine, optional
         A second pattern of stall cells, on whole runs.
+    reverse_loss : ReverseLoss, optional
+        The loss in reversed flow where it acts, on whole runs.
     catalogue : tuple of Effect
         The names that competed.
     """
@@ -77,6 +101,7 @@ class LagDiagnosis(Diagnosis):
     leftover: Leftover
     rounds: tuple[Round, ...]
     ripple: RippleLine | None = None
+    reverse_loss: ReverseLoss | None = None
     catalogue: tuple[Effect, ...] = CATALOGUE
 
     @property

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
-from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.quantities import numbers_of, open_words, plain_name, tau_ms
 from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.telling import telling_run, telling_stretch
@@ -76,15 +76,19 @@ def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
         On top each output, measured and simulated, and its residuals on a telling stretch; below,
         the spectrum of the residuals and their mean over a signal, of the output that is missed
         most; then the candidates by score, and the characteristic of a lag before and after, or
-        the rms errors of that output on every record.
+        the rms errors of that output on every record. Last, the loss in reversed flow where there
+        is one.
     """
     lines = [shorten(printable(text, 400), LONGEST_LINE, placeholder=" …") for text in _lines(d)]
     heading = printable(_heading(d), 400)
-    figure = new_figure(height_in=10.6 + 0.2 * len(lines))
+    reverse = d.reverse_loss if isinstance(d, LagDiagnosis) else None
+    figure = new_figure(height_in=(10.6 if reverse is None else 13.2) + 0.2 * len(lines))
     size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
     look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
     figure.suptitle(heading, fontsize=size, fontweight="bold", **look)
-    grid = figure.add_gridspec(5, 1, height_ratios=[0.02 + 0.1 * len(lines), 1.15, 0.8, 1.15, 1.35])
+    ratios = [0.02 + 0.1 * len(lines), 1.15, 0.8, 1.15, 1.35]
+    ratios += [] if reverse is None else [1.2]
+    grid = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
     said = figure.add_subplot(grid[0])
     said.set_axis_off()
     said.text(0.0, 0.0, "\n".join(lines), fontsize=9, color=INK, va="bottom")
@@ -111,6 +115,8 @@ def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
         _curves(last, d)
     else:
         draw_errors(last, d, wheres[0].of.output if wheres else next(iter(d.outputs)))
+    if reverse is not None:
+        _reverse(dress(figure.add_subplot(grid[5])), reverse)
     return figure
 
 
@@ -173,8 +179,12 @@ def _lines(d: Diagnosis) -> list[str]:
         f"{item.label}: {item.equation};  {numbers_of(item.effect, item.parameters)}"
         for item in d.missing
     ]
-    last = [f"{100.0 * min(d.gap.shrink, 1.0):.1f} % of the gap closed"] if d.missing else []
+    closed = d.missing and d.gap.shrink
+    last = [f"{100.0 * min(d.gap.shrink, 1.0):.1f} % of the gap closed"] if closed else []
     if isinstance(d, LagDiagnosis):
+        if d.reverse_loss is not None:
+            share = f"{100.0 * d.reverse_loss.share:.0f} %"
+            last.append(f"the loss explains {share} of what is left in reversed flow (last panel)")
         fell = f"{tau_ms(d.tau_before_s)} → " if d.missing else ""
         last.insert(0, f"τ {fell}{tau_ms(d.tau_after_s, d.tau_stderr_s)}")
     return [*out, ";  ".join(last)] if last else out
@@ -287,3 +297,17 @@ def _curves(ax: Axes, d: LagDiagnosis) -> None:
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
     ax.set_title(r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", **LEFT)
     legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
+
+
+def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
+    """Draw what the model leaves in reversed flow over φ², with the loss that explains it."""
+    order = reverse.squared.argsort()
+    squared, left = reverse.squared[order], reverse.left[order]
+    ax.plot(squared, left, ".", ms=3, color=MEASURED, label="measured minus simulated")
+    words = f"loss c φ², c = {significant(reverse.size, 3)}"
+    ax.plot(squared, reverse.size * squared, color=AFTER, lw=1.8, label=printable(words))
+    ax.axhline(0.0, color=INK, lw=0.7)
+    ax.set_xlabel(r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]", fontsize=9)
+    ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
+    ax.set_title("reverse_flow_branch, where it acts", **LEFT)
+    legend(ax, loc="upper left", fontsize=TINY)

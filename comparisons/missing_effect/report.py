@@ -87,9 +87,10 @@ def diagnosis_parts(
         Part("Limits", _lines(limits)),
         Part("What would separate an alias set", _lines(separation)),
     )
-    return tuple(
+    first, *others = (
         part for part in parts if any(getattr(block, "items", True) for block in part.blocks)
     )
+    return (first, *(replace(part, folded=True) for part in others))
 
 
 def diagnosis_report(

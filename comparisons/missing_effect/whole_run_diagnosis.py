@@ -16,7 +16,7 @@ from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import (
@@ -313,5 +313,6 @@ def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench) -> LagDiagnosis:
         diagnosis,
         missing=(*diagnosis.missing, found),
         verdict=verdict,
+        reverse_loss=ReverseLoss(loss, left, size, share),
         remarks=(*diagnosis.remarks, remark),
     )

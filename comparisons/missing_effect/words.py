@@ -38,6 +38,7 @@ __all__ = [
     "ledger_words",
     "named",
     "pooled_rms",
+    "verdict_sentence",
     "verdict_words",
 ]
 
@@ -85,14 +86,19 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
     lag = d if isinstance(d, LagDiagnosis) else None
     said: list[str] = []
     if d.missing:
-        said += [_worse_words(d), _headline(d), *(_alias_words(d, item) for item in d.missing)]
+        said += [
+            _worse_words(d),
+            verdict_sentence(d),
+            *(_alias_words(d, item) for item in d.missing),
+        ]
         several = any(len(item.alias_set) > 1 for item in d.missing)
         if lag is not None and several and not separated:
             said.append("--separate says which further measurement would, from simulation.")
         said += [_doubt_words(d), shape_words(d.names), _bound_words(d)]
     else:
         known = np.isfinite(d.gap.before_rms)
-        said += [_LEADS[d.verdict] if known else _NOT_SIMULATED, _refused_words(d), _left_words(d)]
+        lead = verdict_sentence(d) if known else _NOT_SIMULATED
+        said += [lead, _refused_words(d), _left_words(d)]
     if lag is not None and not d.missing:
         said += [noise_words(lag)] if d.verdict == "noise_model_wrong" else []
         said.append(structure_words(lag))
@@ -100,6 +106,31 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
     if lag is not None and not d.missing:
         said.append(limit_words(d.verdict, limited=limited))
     return " ".join(filter(None, said))
+
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """Say the verdict in one sentence: what is missing and what it does, or that nothing is.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    if not d.missing:
+        return _LEADS[d.verdict]
+    each = []
+    for item in d.missing:
+        numbers = number_rows(item.effect, item.parameters)[:1]
+        first = "".join(f" ({n} = {text})" if n else f" ({text})" for n, text in numbers)
+        each.append(f"{named(item)}{first}{_together(item)}")
+    lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
+    lag = d if isinstance(d, LagDiagnosis) else None
+    if lag is not None and lag.reverse_loss is not None and len(d.missing) == 1:
+        # It acts where the run is not scored: neither τ nor the gap knows of it.
+        return f"{lead}; τ stays at {tau_ms(lag.tau_after_s, lag.tau_stderr_s)}."
+    it = "them" if len(each) > 1 else "it"
+    tau = f", and {tau_words(lag)}" if lag is not None else ""
+    return f"{lead}: with {it} {_fall_words(d)}{tau}."
 
 
 def effect_words(item: MissingEffect) -> str:
@@ -201,19 +232,6 @@ def pooled_rms(runs: Sequence[CheckRun], j: int, *, before: bool) -> float:
         Of the model as it was, or else with what was added.
     """
     return float(rms(np.concatenate([run.errors(before=before)[:, [j]] for run in runs]))[0])
-
-
-def _headline(d: Diagnosis) -> str:
-    """Return what is missing and what it does, in one sentence."""
-    each = []
-    for item in d.missing:
-        numbers = number_rows(item.effect, item.parameters)[:1]
-        first = "".join(f" ({n} = {text})" if n else f" ({text})" for n, text in numbers)
-        each.append(f"{named(item)}{first}{_together(item)}")
-    it = "them" if len(each) > 1 else "it"
-    tau = f", and {tau_words(d)}" if isinstance(d, LagDiagnosis) else ""
-    lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
-    return f"{lead}: with {it} {_fall_words(d)}{tau}."
 
 
 def _together(item: MissingEffect) -> str:
