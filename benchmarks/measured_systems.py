@@ -105,10 +105,10 @@ def main() -> None:
         print(f"{name}: {d.verdict}, {time.process_time() - begun:.0f} s of processor time")
         for item in d.missing:
             kind = "without a name" if item.unnamed else "; ".join(item.doubts) or "firm"
-            numbers = ", ".join(f"{n.name} {n.value:.4g} ± {n.stderr:.2g}" for n in item.numbers)
+            numbers = ", ".join(f"{n.name} {n.value:.4g} ± {n.stderr:.2g}" for n in item.parameters)
             print(f"  {' or '.join(item.alias_labels)}: {numbers} ({kind})")
         for run in d.checks:
-            print(f"  {run.experiment.name}: {run.before_rms} before, {run.after_rms} after")
+            print(f"  {run.name}: {run.before_rms} before, {run.after_rms} after")
 
 
 if __name__ == "__main__":

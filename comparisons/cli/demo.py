@@ -16,7 +16,7 @@ from surge_core.progress import shown_steps
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
-    from comparisons.missing_effect import Diagnosis
+    from comparisons.missing_effect.lag_result import LagDiagnosis
     from comparisons.page.blocks import Part
     from comparisons.results import Comparison, Truth
     from comparisons.rig import RigRun
@@ -156,11 +156,10 @@ def _hidden(demo: _Demo) -> None:
 
 def _diagnosed(
     demo: _Demo, series: CoefficientSeries, rig: RigRun
-) -> tuple[Diagnosis, tuple[Part, ...]]:
+) -> tuple[LagDiagnosis, tuple[Part, ...]]:
     """Diagnose a record; return the diagnosis and what the page says of it."""
     from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.shown import where_of
-    from comparisons.show.diagnose_report import diagnosis_parts
+    from comparisons.missing_effect.report import diagnosis_parts
 
     d = diagnose([series])
     named = "; ".join(" or ".join(item.alias_set) for item in d.missing) or "nothing"
@@ -169,7 +168,7 @@ def _diagnosed(
         f"-> {1e3 * d.tau_after_s:.1f} ms for {1e3 * float(rig.truth_parameters['tau_s']):.0f}, "
         f"held-out rms {d.gap.before_rms:.4f} -> {d.gap.after_rms:.4f}"
     )
-    return d, diagnosis_parts(d, where_of(d))
+    return d, diagnosis_parts(d)
 
 
 def _test(demo: _Demo, case: str, seed: int, hide: str | None = None) -> tuple[RigRun, Reduction]:

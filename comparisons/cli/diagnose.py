@@ -25,8 +25,7 @@ from surge_core.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
-    from comparisons.missing_effect.diagnosis import Diagnosis
-    from comparisons.missing_effect.where import Where
+    from comparisons.missing_effect.lag_result import LagDiagnosis
 
 __all__ = ["COMMAND"]
 
@@ -86,11 +85,11 @@ def _compressor(given: argparse.Namespace) -> list[str]:
     """Diagnose series and return what is printed."""
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
+    from comparisons.missing_effect.report import diagnosis_report
     from comparisons.missing_effect.terminal import diagnosis_text
     from comparisons.missing_effect.whole_runs import N_TWINS
-    from comparisons.show.diagnose_report import diagnosis_report
 
-    steps = 4 + (given.base == "sindy") + given.limits + given.separate
+    steps = 3 + (given.base == "sindy") + given.limits + given.separate
     with shown_steps(steps) as begin:
         begin("reading")
         # Each once: the last record is held out whole, and its double would be fitted.
@@ -105,19 +104,16 @@ def _compressor(given: argparse.Namespace) -> list[str]:
             n_twins=0 if given.no_twins else N_TWINS,
             progress=lambda twins: shown_over(twins, unit="twin", words="measuring twins"),
         )
-        begin("looking where")
-        where, why = _where(d)
-        remarks += [f"Where was not looked at: {why}."] if why else []
         more = _asked_beyond(given, d, begin)
         begin("writing")
         written = write_asked(
             given,
-            json=lambda: diagnosis_document(d, where, **more, base=base),
-            report=lambda: diagnosis_report(d, where, **more, command=command_line()),
+            json=lambda: diagnosis_document(d, **more, base=base),
+            report=lambda: diagnosis_report({d.title: d}, command_line(), **more),
         )
         if given.save:
             written.append(f"model: {_saved(d, given.save)}")
-    return [diagnosis_text(d, where, **more), *remarks, *([""] if written else []), *written]
+    return [diagnosis_text(d, **more), *remarks, *([""] if written else []), *written]
 
 
 def _base(
@@ -140,7 +136,7 @@ def _base(
 
 
 def _asked_beyond(
-    given: argparse.Namespace, d: Diagnosis, begin: Callable[[str], None]
+    given: argparse.Namespace, d: LagDiagnosis, begin: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return what --limits and --separate found; None for what was not asked for."""
     limits = separation = None
@@ -158,17 +154,7 @@ def _asked_beyond(
     return {"limits": limits, "separation": separation}
 
 
-def _where(d: Diagnosis) -> tuple[Where | None, str]:
-    """Return where a residual stands out, or why that is not known."""
-    from comparisons.missing_effect.shown import where_of
-
-    try:
-        return where_of(d), ""
-    except InputError as error:
-        return None, str(error)
-
-
-def _saved(d: Diagnosis, path: Path) -> str:
+def _saved(d: LagDiagnosis, path: Path) -> str:
     """Save the model after; a verdict of which none can be made is no error of the user's."""
     from comparisons.missing_effect.extended_file import save_extended
     from comparisons.missing_effect.extended_refit import value_of
@@ -183,10 +169,10 @@ def _saved(d: Diagnosis, path: Path) -> str:
 
 def _model(given: argparse.Namespace) -> list[str]:
     """Diagnose a user's own model, whose file is executed, and return what is printed."""
+    from comparisons.missing_effect.script import contents_of, steps_of
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
-    from comparisons.missing_effect.systems.script import contents_of, steps_of
-    from comparisons.missing_effect.systems.terminal import system_text
+    from comparisons.missing_effect.terminal import diagnosis_text
 
     most = given.max_effects or DEFAULT_MODEL_EFFECTS
     with shown_steps(steps_of(most) + 2) as begin:
@@ -200,7 +186,7 @@ def _model(given: argparse.Namespace) -> list[str]:
         for _, path, content in contents:
             write_whole(path, content)
     written = [f"{label}: {path}" for label, path, _ in contents]
-    return [system_text(found), *([""] if written else []), *written]
+    return [diagnosis_text(found), *([""] if written else []), *written]
 
 
 _RECORDS: dict[str, Any] = {"nargs": "+", "default": [], "metavar": "RECORD"}

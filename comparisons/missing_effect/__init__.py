@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
-    from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
+    from comparisons.missing_effect.diagnosis import diagnose
     from comparisons.missing_effect.effect import Effect, Parameter
+    from comparisons.missing_effect.lag_result import LagDiagnosis
+    from comparisons.missing_effect.results import Diagnosis
     from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.experiments import Experiment
@@ -23,6 +25,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "Experiment",
+    "LagDiagnosis",
     "Model",
     "P",
     "Parameter",
@@ -37,7 +40,8 @@ __all__ = [
 _HOMES = {
     "CATALOGUE": "catalogue",
     "find_effect": "catalogue",
-    "Diagnosis": "diagnosis",
+    "Diagnosis": "results",
+    "LagDiagnosis": "lag_result",
     "diagnose": "diagnosis",
     "Effect": "effect",
     "Parameter": "effect",

@@ -11,10 +11,18 @@ from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
-from comparisons.missing_effect.results import CORRELATION, SIZE, Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
+from comparisons.missing_effect.results import (
+    CORRELATION,
+    SIZE,
+    Gap,
+    MissingEffect,
+    ParameterRow,
+)
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
@@ -23,14 +31,18 @@ from comparisons.missing_effect.uncertainty import (
     on_all_rows,
     size_in_errors,
 )
+from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 
-__all__ = ["concluded", "evidence_numbers"]
+__all__ = ["concluded", "evidence_numbers", "missing_effect"]
 
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
 # Share of its range that counts as at its bound.
 AT_BOUND = 1e-3
+
+# What a term without a name needs.
+TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
 
 AliasSets = Mapping[str, Sequence[Candidate]]
 
@@ -47,7 +59,8 @@ def concluded(
     rounds: Sequence[Round],
     unavailable: Mapping[str, str],
     gap: Gap | float,
-) -> Diagnosis:
+    left: tuple[FloatArray, FloatArray] | None = None,
+) -> LagDiagnosis:
     """Return the diagnosis that a search has come to.
 
     Parameters
@@ -71,6 +84,9 @@ def concluded(
     gap : Gap or float
         The held-out errors; or the measurement noise, and they are those of later time and of
         another record.
+    left : tuple of two ndarray, optional
+        Errors before and after of all rows, held-out ones by fits to others; those of the models
+        on the bench without it.
     """
     found, data = final.fit.structure.effects, final.data
     before = on_all_rows(base.fit, base)
@@ -85,11 +101,11 @@ def concluded(
     }
     if verdict in ("named", "alias_set") and unsure:
         verdict = "provisional"
-    covariance = covariance_of(after, with_own_state(data, after), final) if found else np.eye(0)
+    covariance = covariance_of(after, with_own_state(data, after), final)
     missing = tuple(
-        MissingEffect(
-            effect.name,
-            tuple(c.name for c in sets[effect.name]) or (effect.name,),
+        missing_effect(
+            effect,
+            [c.added[0] for c in sets[effect.name]] or [effect],
             not effect.unnamed and (provisional or effect.name in unsure),
             values[effect.name],
             {
@@ -103,30 +119,94 @@ def concluded(
         )
         for effect in found
     )
-    held = (data.weight > 0.0) & np.isin(data.part, (LATER, OTHER))
-    if not isinstance(gap, Gap):
-        gap = Gap(
-            _rms(errors_on(base.fit, base.data, Metric())[0][held]),
-            _rms(errors_on(final.fit, data, Metric())[0][held]),
-            gap,
+    if left is None:
+        left = (
+            errors_on(base.fit, base.data, Metric())[0],
+            errors_on(final.fit, data, Metric())[0],
         )
-    return Diagnosis(
-        verdict,
-        missing,
-        gap,
-        before.tau_s,
-        after.tau_s,
-        values["tau"][0].stderr,
-        _tau_by_alias(final, sets, after),
-        before,
-        after,
-        base.fit,
-        final.fit,
-        data,
-        noise,
-        leftover,
-        tuple(rounds),
-        unavailable,
+    if not isinstance(gap, Gap):
+        held = data.scored() & np.isin(data.part, (LATER, OTHER))
+        gap = Gap(_rms(left[0][held]), _rms(left[1][held]), gap)
+    first = rounds[0].bench if rounds else base
+    earlier = covariance_of(before, with_own_state(first.data, before), first)
+    return LagDiagnosis(
+        verdict=verdict,
+        missing=missing,
+        parameters=_parameters((before, earlier), (after, covariance)),
+        unavailable=unavailable,
+        gap=gap,
+        tau_by_alias_s=_tau_by_alias(final, sets, after),
+        before=before,
+        after=after,
+        before_fitted=base.fit,
+        after_fitted=final.fit,
+        left=left,
+        data=data,
+        noise=noise,
+        leftover=leftover,
+        rounds=tuple(rounds),
+    )
+
+
+def missing_effect(
+    effect: Effect,
+    members: Sequence[Effect],
+    provisional: bool,
+    parameters: tuple[FittedParameter, ...],
+    evidence: Mapping[str, float],
+    doubts: tuple[str, ...] = (),
+) -> MissingEffect:
+    """Return an effect that a lag model lacks.
+
+    Parameters
+    ----------
+    effect : Effect
+        What was found.
+    members : sequence of Effect
+        Its alias set, it first.
+    provisional : bool
+        Whether it may be another.
+    parameters : tuple of FittedParameter
+        Its numbers.
+    evidence : mapping of str to float
+        What speaks for it.
+    doubts : tuple of str
+        Why the name is not firm.
+    """
+    letters = letters_of(effect)
+    return MissingEffect(
+        effect.name,
+        tuple(e.name for e in members),
+        provisional,
+        parameters,
+        evidence,
+        doubts,
+        label_of(effect),
+        {"port": effect.port},
+        tuple(map(label_of, members)),
+        effect.unnamed,
+        equation_of(effect),
+        f"{effect.says.removesuffix('.')} ({letters})" if letters else effect.says,
+        {e.name: TO_NAME if e.unnamed else e.confirm for e in members},
+        "" if effect.unnamed else effect.on_tau,
+    )
+
+
+def _parameters(
+    before: tuple[Fit, FloatArray], after: tuple[Fit, FloatArray]
+) -> tuple[ParameterRow, ...]:
+    """Return τ and the coefficients of the characteristic without and with what was added."""
+    columns = []
+    for fit, covariance in (before, after):
+        error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        first, n = len(fit.structure.free), len(fit.structure.terms)
+        values = [fit.tau_s, *fit.coefficients[:n].tolist()]
+        columns.append((values, [fit.tau_s * error[0], *error[first : first + n]]))
+    (old, old_errors), (new, new_errors) = columns
+    names = [("τ", "s"), *((f"β of {pretty_term(t)}", "1") for t in before[0].structure.terms)]
+    return tuple(
+        ParameterRow(name, unit, old[i], new[i], float(old_errors[i]), float(new_errors[i]))
+        for i, (name, unit) in enumerate(names)
     )
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
-from comparisons.missing_effect.conclusion import concluded
+from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import is_whole, load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
@@ -35,6 +36,7 @@ __all__ = [
     "Diagnosis",
     "FittedParameter",
     "Gap",
+    "LagDiagnosis",
     "MissingEffect",
     "diagnose",
     "diagnose_data",
@@ -73,7 +75,7 @@ def diagnose(
     most_effects: int = MOST_EFFECTS,
     n_twins: int = N_TWINS,
     progress: Progress = iter,
-) -> Diagnosis:
+) -> LagDiagnosis:
     """Find what the lag model of one or several records lacks.
 
     Parameters
@@ -120,7 +122,7 @@ def diagnose_data(
     *,
     catalogue: Sequence[Effect] = CATALOGUE,
     most_effects: int = MOST_EFFECTS,
-) -> Diagnosis:
+) -> LagDiagnosis:
     """Diagnose rows that were loaded before; see :func:`diagnose`.
 
     Parameters
@@ -205,7 +207,7 @@ def _concluded(
     rounds: Sequence[Round],
     effects: Sequence[Effect],
     unavailable: Mapping[str, str],
-) -> Diagnosis:
+) -> LagDiagnosis:
     last = rounds[-1]
     noise = final.noise(final.fit)
     found = final.fit.structure.effects
@@ -237,7 +239,7 @@ def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
     """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
     sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
     evidence = {"gain_over_autoregression": noise.flow_gain}
-    return MissingEffect(FLOW_NOISE.name, (FLOW_NOISE.name,), False, (sigma,), evidence)
+    return missing_effect(FLOW_NOISE, [FLOW_NOISE], False, (sigma,), evidence)
 
 
 def _verdict(

@@ -15,13 +15,13 @@ from comparisons.missing_effect.coefficient_groups import (
     coefficient_groups,
     refitted_on,
 )
-from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
 from comparisons.missing_effect.extended_parts import BENDING, AddedEffect, FrozenReferences
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import weights_of
@@ -40,12 +40,12 @@ __all__ = ["refitted", "value_of"]
 CURVE_POINTS = 121
 
 
-def value_of(source: Diagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
+def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
     """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
 
     Parameters
     ----------
-    source : Diagnosis or Fit
+    source : LagDiagnosis or Fit
         What was fitted.
     data : LagData, optional
         The rows of a fit; a diagnosis has its own.
@@ -56,7 +56,7 @@ def value_of(source: Diagnosis | Fit, data: LagData | None = None) -> ExtendedLa
         When the model holds a term without a name: that says that something is missing and is
         no model of it.
     """
-    if isinstance(source, Diagnosis):
+    if isinstance(source, LagDiagnosis):
         return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
     if data is None:
         raise InputError("data", expected="the rows that the fit was made on", found="none")

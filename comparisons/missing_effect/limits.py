@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.diagnosis import MOST_EFFECTS, Diagnosis, diagnose_data
+from comparisons.missing_effect.diagnosis import MOST_EFFECTS, LagDiagnosis, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
 from comparisons.missing_effect.excitation import block_rows
@@ -45,7 +45,7 @@ Progress = Callable[[Iterable["Limit"]], Iterable["Limit"]]
 
 
 def planted_limits(
-    diagnosis: Diagnosis,
+    diagnosis: LagDiagnosis,
     *,
     effects: Sequence[Effect | str] | None = None,
     share: float = 0.9,
@@ -63,7 +63,7 @@ def planted_limits(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis : LagDiagnosis
         Of the records; what it has added stays in the model.
     effects : sequence of Effect or str, optional
         In place of the whole catalogue of the diagnosis; one that is given as an effect competes
@@ -124,7 +124,7 @@ def _wanted(effect: Effect | str, catalogue: Sequence[Effect]) -> Effect:
     return known[effect]
 
 
-def _why_never(diagnosis: Diagnosis) -> str:
+def _why_never(diagnosis: LagDiagnosis) -> str:
     """Return why nothing that is planted beside what these records hold would be named firmly."""
     if any(effect.unnamed for effect in diagnosis.after.structure.effects):
         return "a term without a name stands in the model, and the workflow stops at it"
@@ -326,7 +326,7 @@ class _Drill:
         return any(effect.name in item.alias_set and not item.provisional for item in found.missing)
 
 
-def _of_twins(diagnosis: Diagnosis, effects: Sequence[Effect]) -> Limits:
+def _of_twins(diagnosis: LagDiagnosis, effects: Sequence[Effect]) -> Limits:
     """Return what twins of whole runs show: there the limits are known without planting."""
     sizes = {row.effect: row for row in diagnosis.absent}
     never = {

@@ -15,10 +15,10 @@ from comparisons.missing_effect.coefficient_groups import (
     assembled_fit,
     coefficient_groups,
 )
-from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
@@ -131,7 +131,7 @@ class Planter:
     sigma: float
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis) -> Planter:
+    def of(cls, diagnosis: LagDiagnosis) -> Planter:
         """Return the planter of a diagnosis: its model after, its rows, its noise."""
         data = with_own_state(diagnosis.data, diagnosis.after)
         source = NoiseSource.of(diagnosis.after, diagnosis.noise, data)

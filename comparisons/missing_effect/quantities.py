@@ -1,4 +1,4 @@
-"""Numbers and equations of a lag model and of effects, as people read them."""
+"""Numbers with units, and the equations of a lag model and its effects, as people read them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from comparisons.missing_effect.fit import Fit
 from surge_core.rounding import round_to_error, significant
 
 __all__ = [
+    "PORT_WORDS",
     "chance",
     "equation_of",
+    "label_of",
     "letters_of",
     "model_equation",
+    "number_rows",
     "numbers_of",
     "open_words",
+    "plain_name",
     "quantity",
     "symbol",
     "tau_ms",
@@ -43,7 +47,14 @@ _HELD = {
 }
 # A number of this unit below the limit is read in a smaller unit.
 _SMALLER = {"s": (1.0, 1e3, "ms"), "s^2": (1e-2, 1e6, "ms²")}
-_UNITS = {"1": "", "1/s": "1/s", "s^2": "s²"}
+_UNITS = {"1": "", "s^2": "s²"}
+PORT_WORDS = {
+    "input": "at the input φ",
+    "characteristic": "in the characteristic ψ'_QS",
+    "lag": "in the lag",
+    "output": "at the output ψ'",
+    "noise": "on the measured φ",
+}
 _OPEN_SYMBOLS = (
     ("dphi", "dφ/dt"),
     ("dpsi", "dψ'/dt"),
@@ -84,6 +95,8 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     shown = _UNITS.get(unit, unit)
     if abs(value) < limit:
         value, stderr, shown = factor * value, factor * stderr, smaller
+    if stderr <= 0.0:
+        return f"{significant(value)} {shown}".rstrip() + " (held)"
     return f"{round_to_error(value, stderr)} {shown}".rstrip()
 
 
@@ -102,6 +115,32 @@ def tau_ms(tau_s: float, stderr_s: float | None = None) -> str:
     return f"{round_to_error(1e3 * tau_s, 1e3 * stderr_s)} ms"
 
 
+def number_rows(effect: str, parameters: Sequence[FittedParameter]) -> tuple[tuple[str, str], ...]:
+    """Return symbol and text of each number of an effect; a held one may be a word alone.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    parameters : sequence of FittedParameter
+        Its numbers.
+    """
+    rows = []
+    for p in parameters:
+        words = _HELD.get((effect, p.name), "")
+        if words is None:
+            continue
+        if isinstance(words, dict):
+            rows.append(("", words.get(p.value, f"{p.value:g} {p.name}")))
+        elif p.name == "phi_gate":
+            # 0 stands for stall as the record flags it.
+            rows += [("", f"where φ < {p.value:.3g}")] if p.value else []
+        else:
+            named = "largest f" if effect == "characteristic_shape" else symbol(p.name)
+            rows.append((named, quantity(p.value, p.stderr, p.unit)))
+    return tuple(rows)
+
+
 def numbers_of(effect: str, parameters: Sequence[FittedParameter]) -> str:
     """Return the numbers of an effect in one line.
 
@@ -112,21 +151,31 @@ def numbers_of(effect: str, parameters: Sequence[FittedParameter]) -> str:
     parameters : sequence of FittedParameter
         Its numbers.
     """
-    parts = []
-    for p in parameters:
-        words = _HELD.get((effect, p.name), "")
-        if words is None:
-            continue
-        if isinstance(words, dict):
-            parts.append(words.get(p.value, f"{p.value:g} {p.name}"))
-        elif p.name == "phi_gate":
-            # 0 stands for stall as the record flags it.
-            parts += [f"where φ < {p.value:.3g}"] if p.value else []
-        elif effect == "characteristic_shape":
-            parts.append(f"largest f = {quantity(p.value, p.stderr, p.unit)}")
-        else:
-            parts.append(f"{symbol(p.name)} = {quantity(p.value, p.stderr, p.unit)}")
-    return ", ".join(parts)
+    rows = number_rows(effect, parameters)
+    return ", ".join(f"{name} = {text}" if name else text for name, text in rows)
+
+
+def label_of(effect: Effect) -> str:
+    """Return the name of an effect with the place at which it acts.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    """
+    name = f"open_{open_words(effect.name)}" if effect.unnamed else effect.name
+    return f"{name} {PORT_WORDS[effect.port]}"
+
+
+def plain_name(name: str) -> str:
+    """Return the name of an effect as it is read: without underscores.
+
+    Parameters
+    ----------
+    name : str
+        Its identifier.
+    """
+    return name.replace("_", " ")
 
 
 def equation_of(effect: Effect) -> str:

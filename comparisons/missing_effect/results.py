@@ -1,33 +1,34 @@
-"""What a diagnosis is: verdict, names, the gap before and after, and everything behind them."""
+"""What a diagnosis is, of a lag series or of a user's model: verdict, names, before, after."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import PurePath
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from comparisons.missing_effect.catalogue import CATALOGUE
-from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.quantities import numbers_of, tau_ms
-from comparisons.missing_effect.search import Leftover, Round
-from comparisons.missing_effect.whole_run_spectra import RippleLine
+import numpy as np
+
+from comparisons.missing_effect.effect import FittedParameter
+from comparisons.missing_effect.quantities import number_rows
+from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.scales import scale_of, typical
+from comparisons.missing_effect.where_words import SYMBOLS
 from surge_core.display import Displayed, Field, Grid, Sheet
-from surge_core.rounding import significant
-from surge_core.types import FloatArray
+from surge_core.rounding import bracketed, significant
 
 __all__ = [
+    "CLEAR",
     "CORRELATION",
     "MUCH_CORRELATED",
     "SIZE",
     "Absent",
+    "CandidateRow",
     "Diagnosis",
     "FittedParameter",
     "Gap",
     "MissingEffect",
-    "ReverseLoss",
+    "ParameterRow",
     "Untold",
 ]
 
@@ -36,11 +37,13 @@ SIZE = "size_in_errors"
 # And under this one the largest correlation of two numbers of the effect, from which on their
 # errors say little one by one.
 CORRELATION, MUCH_CORRELATED = "largest_correlation", 0.9
+# Verdicts that leave nothing open.
+CLEAR = ("named", "nothing_missing", "alias_set")
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Held-out rms errors in units of the coefficient, by fits to the other rows.
+    """Errors on rows that were not fitted, as one number.
 
     Parameters
     ----------
@@ -48,23 +51,32 @@ class Gap:
         Of the free run, without and with what was added.
     floor_rms : float
         Measurement noise.
+    unit : str
+        Of all three.
+    whole : float
+        No larger share than this can be closed; 1 where the floor is that of other, perhaps
+        noisier, records.
     """
 
     before_rms: float
     after_rms: float
     floor_rms: float
+    unit: str = "1"
+    whole: float = math.inf
 
     @property
     def shrink(self) -> float:
         """Share of the gap that is closed: (before² − after²)/(before² − floor²)."""
         gap = self.before_rms**2 - self.floor_rms**2
         won = self.before_rms**2 - self.after_rms**2
-        return float(won / gap) if gap > 0.0 and won > 0.0 else 0.0
+        if not (math.isfinite(gap) and math.isfinite(won)):
+            return math.nan
+        return float(min(won / gap, self.whole)) if gap > 0.0 and won > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
 class MissingEffect:
-    """One effect that the model lacked.
+    """One effect that the model lacked, at its place.
 
     Parameters
     ----------
@@ -73,15 +85,27 @@ class MissingEffect:
     alias_set : tuple of str
         The names that these data cannot separate, the first among them.
     provisional : bool
-        True where the model still leaves structure in its errors, or where what the effect does
-        is not distinguished from nothing: then the name stands for something that may be another.
+        Whether the name stands for something that may be another.
     parameters : tuple of FittedParameter
-        Its numbers.
+        Its numbers, from all fitted rows.
     evidence : mapping
-        Gains in log-units on the fitted rows, later time and the other record, and their z; how
-        many standard errors large all that the effect does is.
+        Gains in log-units on fitted and held-out rows, their z and the score.
     doubts : tuple of str
-        Why the name is not firm, where the search itself says so.
+        Why the name is not firm.
+    label : str
+        Name and place in one line.
+    place : mapping of str to str
+        Port, equation, signal, input, sensor, parameter or state, as they apply.
+    alias_labels : tuple of str
+        The alias set with its places.
+    unnamed : bool
+        Whether it is a term without a name.
+    equation, says : str
+        What it adds, and what happens.
+    confirm : mapping of str to str
+        The measurement that would confirm each of the alias set.
+    on_tau : str
+        What the time constant of a lag suffers without it.
     """
 
     effect: str
@@ -90,6 +114,14 @@ class MissingEffect:
     parameters: tuple[FittedParameter, ...]
     evidence: Mapping[str, float]
     doubts: tuple[str, ...] = ()
+    label: str = ""
+    place: Mapping[str, str] = field(default_factory=dict)
+    alias_labels: tuple[str, ...] = ()
+    unnamed: bool = False
+    equation: str = ""
+    says: str = ""
+    confirm: Mapping[str, str] = field(default_factory=dict)
+    on_tau: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,30 +162,109 @@ class Absent:
 
 
 @dataclass(frozen=True)
-class ReverseLoss:
-    """What the lag model leaves in reversed flow, and the loss that explains it.
+class ParameterRow:
+    """A parameter of the model without and with what was added.
 
     Parameters
     ----------
-    squared : ndarray of shape (n,)
-        φ² of the reversed rows, averaged as ψ' is.
-    left : ndarray of shape (n,)
-        Measured minus simulated ψ' there.
-    size : float
-        c of the loss c φ².
-    share : float
-        Share of the squares of ``left`` that it explains.
+    name, unit : str
+        As in the model.
+    before, after : float
+        From all fitted rows.
+    before_stderr, after_stderr : float
+        Robust against coloured errors: a sandwich over blocks of rows.
+    at_bound : bool
+        Whether the value after sits at a bound of the user's.
     """
 
-    squared: FloatArray
-    left: FloatArray
-    size: float
-    share: float
+    name: str
+    unit: str
+    before: float
+    after: float
+    before_stderr: float
+    after_stderr: float
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
+class CandidateRow:
+    """One that competed.
+
+    Parameters
+    ----------
+    round : int
+        Round of the search, from 1 on.
+    name, label : str
+        Effect, open term, or pair joined by " + "; the same with the place.
+    place : mapping of str to str
+        Where it would sit.
+    kind : {"name", "pair", "unnamed_term"}
+        Which of these.
+    fate : str
+        ``added``; ``alias``: these records cannot separate it from the winner; ``too little``: the
+        winner, but not worth adding; ``accepted``; ``refused``; ``not fitted``.
+    accepted : bool
+        Whether fitted and held-out rows all speak for it.
+    alias : bool
+        Whether it could stand for what was added in its round, or was added and has such.
+    score : float
+        Fitted gain less half log n a number, plus the held-out gain, in log-units.
+    train_gain, later_gain, other_record_gain : float
+        Gains in log-units on fitted rows, later time and another record; NaN where not known.
+    held_out_z : float
+        Mean gain of the held-out blocks over its standard error.
+    p_value : float
+        Chance of the fitted gain without it, times all that was searched.
+    promised : float
+        Log-units that a score test promised before it was fitted.
+    time_constant_s : float
+        τ of a lag with it, by a fit to the fitted rows.
+    parameters_added : int
+        Numbers that it brings.
+    refused_on : tuple of str
+        Rows on which it gains no more than chance: "fitted rows", "later time", "other record", or
+        "held-out blocks" where too few of these gain; "share" where it explains too little of whole
+        runs; empty where it was accepted.
+    share, least_share : float
+        Share of the squared errors that it explains and what it had to explain, on whole runs;
+        NaN elsewhere. Infinite where its number is within reach of the sensor chain itself.
+    """
+
+    round: int
+    name: str
+    label: str
+    place: Mapping[str, str]
+    kind: str
+    fate: str
+    accepted: bool = False
+    alias: bool = False
+    score: float = math.nan
+    train_gain: float = math.nan
+    later_gain: float = math.nan
+    other_record_gain: float = math.nan
+    held_out_z: float = math.nan
+    p_value: float = math.nan
+    promised: float = math.nan
+    time_constant_s: float = math.nan
+    parameters_added: int = 0
+    refused_on: tuple[str, ...] = ()
+    share: float = math.nan
+    least_share: float = math.nan
+
+    @property
+    def fitted(self) -> bool:
+        """Whether it promised enough to be fitted."""
+        return self.fate != "not fitted"
+
+    @property
+    def chosen(self) -> bool:
+        """Whether it was added."""
+        return self.fate == "added"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(Displayed):
-    """What a model of these records lacks.
+    """What a model lacks.
 
     Parameters
     ----------
@@ -162,105 +273,136 @@ class Diagnosis(Displayed):
         ``unexplained_structure`` or ``noise_model_wrong``.
     missing : tuple of MissingEffect
         In the order in which they were found.
-    gap : Gap
-        On held-out rows.
-    tau_before_s, tau_after_s : float
-        τ by fits to all rows.
-    tau_stderr_s : float
-        Of the one after.
-    tau_by_alias_s : mapping of str to float
-        τ under every name of the alias sets.
-    before, after : Fit
-        To all rows.
-    before_fitted, after_fitted : Fit
-        To the fitted rows alone.
-    data : LagData
-        The rows.
-    noise : NoiseModel
-        Of the model after.
-    leftover : Leftover
-        What the model after leaves.
-    rounds : tuple of Round
-        The search.
+    parameters : tuple of ParameterRow
+        Of the model.
     unavailable : mapping of str to str
         Effects that these records cannot show, and why.
-    ripple : RippleLine, optional
-        A second pattern of stall cells, on whole runs.
-    reverse_loss : ReverseLoss, optional
-        The loss in reversed flow where it acts, on whole runs.
     remarks : tuple of str
         What a reader should know beside it.
     untold : tuple of Untold
-        On whole runs, effects about which these records do not decide.
+        Effects about which these records do not decide.
     absent : tuple of Absent
-        On whole runs, effects that would have been seen.
-    catalogue : tuple of Effect
-        The names that competed; whatever is looked up by name is looked up here.
+        Effects that would have been seen.
     """
 
     verdict: str
     missing: tuple[MissingEffect, ...]
-    gap: Gap
-    tau_before_s: float
-    tau_after_s: float
-    tau_stderr_s: float
-    tau_by_alias_s: Mapping[str, float]
-    before: Fit
-    after: Fit
-    before_fitted: Fit
-    after_fitted: Fit
-    data: LagData
-    noise: NoiseModel
-    leftover: Leftover
-    rounds: tuple[Round, ...]
+    parameters: tuple[ParameterRow, ...]
     unavailable: Mapping[str, str]
-    ripple: RippleLine | None = None
-    reverse_loss: ReverseLoss | None = None
     remarks: tuple[str, ...] = ()
     untold: tuple[Untold, ...] = ()
     absent: tuple[Absent, ...] = ()
-    catalogue: tuple[Effect, ...] = CATALOGUE
 
-    @property
-    def whole_runs(self) -> bool:
-        """Whether the records were taken as whole runs, averaged over the stall cells."""
-        return self.data.average_s > 0.0
+    if TYPE_CHECKING:
+        # What each kind has, as a field or by computing it.
+        @property
+        def gap(self) -> Gap:
+            """Errors on rows that were not fitted, as one number."""
+
+        @property
+        def runs(self) -> tuple[CheckRun, ...]:
+            """All records, simulated before and after."""
+
+        @property
+        def candidates(self) -> tuple[CandidateRow, ...]:
+            """All that competed."""
+
+        @property
+        def floor(self) -> tuple[float, ...]:
+            """The noise of each output: no model of this kind foretells less."""
+
+        @property
+        def subject(self) -> str:
+            """What lacks something, to begin a sentence."""
+
+        @property
+        def title(self) -> str:
+            """What was diagnosed."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """First names of what is missing."""
         return tuple(item.effect for item in self.missing)
 
+    @property
+    def outputs(self) -> Mapping[str, str]:
+        """Outputs of the model and their units."""
+        return self.runs[0].outputs
+
+    @property
+    def proof(self) -> tuple[CheckRun, ...]:
+        """The runs that say most: check records, then rows held out, then what was fitted."""
+        kinds = ("check", "left out", "held out", "fitted")
+        found = ([run for run in self.runs if run.kind == kind] for kind in kinds)
+        return tuple(next(runs for runs in found if runs))
+
+    def parameter(self, name: str) -> ParameterRow:
+        """Return a parameter of the model by name."""
+        return next(row for row in self.parameters if row.name == name)
+
+    def doubts_of(self, item: MissingEffect) -> tuple[str, ...]:
+        """Return why the name of an effect is not firm; empty where it is."""
+        return item.doubts if item.provisional else ()
+
+    def effect_grid(self) -> Grid:
+        """Return a row for each number of what is missing."""
+        rows: list[tuple[str, ...]] = []
+        for item in self.missing:
+            more = len(item.alias_labels) - 2
+            labels = " or ".join(item.alias_labels[:2]) + f" or {more} more" * (more > 0)
+            numbers = number_rows(item.effect, item.parameters) or (("", ""),)
+            first = (labels, item.equation)
+            rows += [(*(first if i == 0 else ("", "")), *n) for i, n in enumerate(numbers)]
+        header = ("effect", "adds", "number", "value")
+        return Grid("What is missing", header, tuple(rows), frozenset(range(3)))
+
+    def parameter_grid(self) -> Grid:
+        """Return a row for each parameter of the model."""
+        rows = []
+        for row in self.parameters:
+            scale = scale_of(row.unit, (row.before, row.after))
+            values = [(row.after, row.after_stderr)]
+            if self.missing:
+                values.insert(0, (row.before, row.before_stderr))
+            cells = [bracketed(scale.factor * v, scale.factor * error) for v, error in values]
+            bound = ", at its bound" if row.at_bound else ""
+            rows.append((row.name, *cells, scale.unit + bound))
+        both = ("before", "after") if self.missing else ("value",)
+        header = ("parameter", *both, "unit")
+        words = frozenset((0, len(header) - 1))
+        title = "Parameters; standard errors in the last digits"
+        return Grid(title, header, tuple(rows), words, folded=len(rows) > 8)
+
+    def errors_grid(self) -> Grid:
+        """Return a row for each output of each run."""
+        sizes = [np.array([run.before_rms, run.after_rms]) for run in self.runs]
+        scales = [
+            scale_of(unit, [typical(np.ravel([size[:, j] for size in sizes]))])
+            for j, unit in enumerate(self.outputs.values())
+        ]
+        rows = []
+        for run, size in zip(self.runs, sizes, strict=True):
+            for j, name in enumerate(run.outputs):
+                before, after = float(size[0, j]), float(size[1, j])
+                fell = [scales[j].text(after, 4)]
+                if self.missing:
+                    ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
+                    fell = [scales[j].text(before, 4), *fell, ratio]
+                share = f"{significant(100.0 * after / float(run.swing[j]), 3)} %"
+                kind = f"{run.scored} {run.kind}"
+                rows.append((run.name, kind, SYMBOLS.get(name, name), *fell, share))
+        both = ("before", "after", "smaller") if self.missing else ("rms",)
+        header = ("record", "rows", "output", *both, "of the swing")
+        return Grid("rms errors of the free run", header, tuple(rows), frozenset(range(3)))
+
     def _sheet(self) -> Sheet:
-        found = tuple(
-            (
-                " or ".join(item.alias_set) + (" (provisional)" if item.provisional else ""),
-                numbers_of(item.effect, item.parameters),
-            )
-            for item in self.missing
-        )
-        gap = self.gap
-        before = (f"{gap.before_rms / gap.floor_rms:.2f}", tau_ms(self.tau_before_s))
-        after = (
-            f"{gap.after_rms / gap.floor_rms:.2f}",
-            tau_ms(self.tau_after_s, self.tau_stderr_s),
-        )
-        models: tuple[tuple[str, ...], ...] = (
-            (("before", *before), ("after", *after)) if found else (("the model", *after),)
-        )
-        grids = [Grid("On rows held out", ("model", "rms over the noise's", "τ"), models)]
-        if found:
-            words = frozenset(range(2))
-            grids.insert(0, Grid("Missing", ("effect", "numbers"), found, words, marked=0))
-        clear = self.verdict in ("named", "nothing_missing", "alias_set")
+        grids = (self.effect_grid(), self.errors_grid(), self.parameter_grid())
         verdict = self.verdict.replace("_", " ")
         return Sheet(
-            f"Diagnosis: {verdict}",
+            f"Diagnosis of {self.title}: {verdict}",
             (
-                Field("records", tuple(PurePath(source).name for source in self.data.sources)),
-                Field("verdict", verdict, "good" if clear else "advice"),
-                Field("noise (rms)", significant(gap.floor_rms, 3)),
+                Field("verdict", verdict, "good" if self.verdict in CLEAR else "advice"),
                 *((Field("remarks", self.remarks, "advice"),) if self.remarks else ()),
             ),
-            tuple(grids),
+            tuple(grid for grid in grids if grid.rows),
         )

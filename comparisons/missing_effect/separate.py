@@ -16,12 +16,12 @@ from comparisons.missing_effect.coefficient_groups import (
     coefficient_groups,
     refitted_on,
 )
-from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
 from comparisons.missing_effect.extended_parts import FrozenReferences
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
@@ -185,7 +185,7 @@ class Separation:
 
 
 def separating_measurements(
-    diagnosis: Diagnosis, *, changes: Sequence[Change] = CHANGES, seed: int = 0
+    diagnosis: LagDiagnosis, *, changes: Sequence[Change] = CHANGES, seed: int = 0
 ) -> Separation:
     """Simulate further experiments and see which would tell aliases apart.
 
@@ -195,7 +195,7 @@ def separating_measurements(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis : LagDiagnosis
         With its alias sets.
     changes : sequence of Change
         The experiments.
@@ -237,7 +237,7 @@ class _Rivals:
     metric: Metric
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
+    def of(cls, diagnosis: LagDiagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
         bench = diagnosis.rounds[-1].bench
         references = FrozenReferences.of(diagnosis.data)
         data = references.on(diagnosis.data)

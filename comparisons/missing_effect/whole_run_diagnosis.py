@@ -11,20 +11,19 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, Candidate
-from comparisons.missing_effect.conclusion import concluded
+from comparisons.missing_effect.catalogue import find_effect
+from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
+from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import (
     SIZE,
     Absent,
-    Diagnosis,
     FittedParameter,
     Gap,
-    MissingEffect,
-    ReverseLoss,
     Untold,
 )
 from comparisons.missing_effect.search import Leftover, Round
@@ -73,7 +72,7 @@ def diagnose_whole_runs(
     most_effects: int,
     n_twins: int = N_TWINS,
     progress: Progress = iter,
-) -> Diagnosis:
+) -> LagDiagnosis:
     """Find what the lag model of whole runs lacks.
 
     Parameters
@@ -122,6 +121,7 @@ def diagnose_whole_runs(
         sets[winner.name] = rivals(bench, winner, candidates, nulls)
         bench = replace(bench, fit=winner.fit)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
+    left = _left_out(base, bench)
     diagnosis = concluded(
         _verdict(sets, line, much=much and bool(n_twins or sets)),
         base,
@@ -132,7 +132,8 @@ def diagnose_whole_runs(
         leftover=NOTHING_LEFT,
         rounds=rounds,
         unavailable=unavailable,
-        gap=_gap(base, bench, averaged_noise(readings)),
+        gap=_gap(left, bench, averaged_noise(readings)),
+        left=left,
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
     firm = [
@@ -213,13 +214,17 @@ def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
     return tuple(found)
 
 
-def _gap(base: Bench, final: Bench, floor_rms: float) -> Gap:
-    """Return the errors of cycles left out."""
-    valid = final.rows.valid
-    before = after = cycles_left_out(base.fit, base)[valid] * base.metric.sigma
-    if final is not base:
-        after = cycles_left_out(final.fit, final)[valid] * final.metric.sigma
-    return Gap(float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))), floor_rms)
+def _left_out(base: Bench, final: Bench) -> tuple[FloatArray, FloatArray]:
+    """Return the errors of cycles left out, before and after."""
+    before = cycles_left_out(base.fit, base) * base.metric.sigma
+    if final is base:
+        return before, before
+    return before, cycles_left_out(final.fit, final) * final.metric.sigma
+
+
+def _gap(left: tuple[FloatArray, FloatArray], final: Bench, floor_rms: float) -> Gap:
+    before, after = (float(np.sqrt(np.mean(errors[final.rows.valid] ** 2))) for errors in left)
+    return Gap(before, after, floor_rms)
 
 
 def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
@@ -242,13 +247,14 @@ def _verdict(
     return "alias_set" if any(len(members) > 1 for members in sets.values()) else "named"
 
 
-def _with_line(diagnosis: Diagnosis, line: RippleLine | None) -> Diagnosis:
+def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis:
     """Add the second pattern of cells, which the rake differences have taken off."""
     if line is None:
         return diagnosis
-    found = MissingEffect(
-        "rotating_stall_ripple",
-        ("rotating_stall_ripple",),
+    ripple = find_effect("rotating_stall_ripple")
+    found = missing_effect(
+        ripple,
+        [ripple],
         False,
         (
             FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
@@ -259,7 +265,7 @@ def _with_line(diagnosis: Diagnosis, line: RippleLine | None) -> Diagnosis:
     return replace(diagnosis, missing=(found, *diagnosis.missing), ripple=line)
 
 
-def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
+def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench) -> LagDiagnosis:
     """Name the loss in reversed flow, which acts without the lag: no lag model holds it.
 
     It is judged in the reversed rows, where the run is not scored: by how much of what a model
@@ -286,9 +292,10 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
     stderr = float(np.sqrt(np.mean(after**2) / (np.mean(loss**2) * reversals)))
     if size < LEAST_SIZE * stderr:
         return diagnosis
-    found = MissingEffect(
-        REVERSED,
-        (REVERSED,),
+    reversed_ = find_effect(REVERSED)
+    found = missing_effect(
+        reversed_,
+        [reversed_],
         False,
         (
             FittedParameter("c", size, stderr, "1"),

@@ -7,17 +7,14 @@ from typing import Any
 
 from comparisons.analysis import Analysis
 from comparisons.missing_effect.document import diagnosis_document
-from comparisons.missing_effect.shown import where_of
-from comparisons.missing_effect.where import Where
+from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Part, Words
-from comparisons.show.diagnose_report import diagnosis_parts
 from comparisons.show.inspection import inspect_document, inspect_text
 from comparisons.show.json_output import comparison_document, record_document
 from comparisons.show.report import ReportSection, report_pages
 from comparisons.show.structure_output import structure_document
 from comparisons.show.structure_report import structure_parts
 from comparisons.show.work_output import work_document, work_table
-from surge_core.errors import InputError
 
 __all__ = ["RUN_SCHEMA", "run_document", "run_pages"]
 
@@ -38,7 +35,7 @@ def run_document(found: Analysis) -> dict[str, Any]:
         "reduce": {**record_document(series), "history": [asdict(e) for e in record.history]},
         "compare": comparison_document(found.comparison),
         "structure": found.structure and structure_document(found.structure),
-        "diagnose": found.diagnosis and diagnosis_document(found.diagnosis, _where(found)),
+        "diagnose": found.diagnosis and diagnosis_document(found.diagnosis),
         "work": found.work and work_document(found.work, record.source),
     }
     steps = {
@@ -58,7 +55,7 @@ def run_pages(found: Analysis) -> list[tuple[str, tuple[Part, ...]]]:
     """
     parts: list[Part] = []
     if found.diagnosis is not None:
-        parts += diagnosis_parts(found.diagnosis, _where(found))
+        parts += diagnosis_parts(found.diagnosis)
     extra = [Part.together("Evidence: what is missing", parts)]
     if found.structure is not None:
         extra.append(Part.together("Evidence: terms of ψ'_QS", structure_parts(found.structure)))
@@ -74,12 +71,3 @@ def run_pages(found: Analysis) -> list[tuple[str, tuple[Part, ...]]]:
         answer=found.answer,
     )
     return report_pages([section])
-
-
-def _where(found: Analysis) -> Where | None:
-    if found.diagnosis is None:
-        return None
-    try:
-        return where_of(found.diagnosis)
-    except InputError:
-        return None

@@ -8,8 +8,8 @@ looked at twice: with its controller, and from the control signal alone.
 from scipy.io import loadmat
 
 from comparisons.missing_effect import Experiment, Model, P
+from comparisons.missing_effect.script import run_script
 from comparisons.missing_effect.systems.benchmark_data import benchmark_file
-from comparisons.missing_effect.systems.script import run_script
 
 FORCE_PER_VOLT = 35.150651882485
 POSITION_GAIN, VELOCITY_GAIN = 160.18, 243.45

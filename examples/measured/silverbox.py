@@ -7,8 +7,8 @@ the record comes from the folder in SINDY_SURGE_BENCHMARKS, or through nonlinear
 from scipy.io import loadmat
 
 from comparisons.missing_effect import Experiment, Model, P
+from comparisons.missing_effect.script import run_script
 from comparisons.missing_effect.systems.benchmark_data import benchmark_file
-from comparisons.missing_effect.systems.script import run_script
 
 PERIOD_S = 2**14 / 1e7
 

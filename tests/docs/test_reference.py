@@ -27,7 +27,7 @@ def test_scripts_that_are_named_exist_with_their_options() -> None:
             assert file.is_file(), f"{page.name}: {script}"
             # Options may be declared in a module beside the script.
             source = "".join(f.read_text("utf-8") for f in file.parent.glob("*.py"))
-            source += (ROOT / "comparisons/missing_effect/systems/script.py").read_text("utf-8")
+            source += (ROOT / "comparisons/missing_effect/script.py").read_text("utf-8")
             for option in OPTION.findall(rest.partition("#")[0]):
                 assert option in source, f"{page.name}: {script} {option}"
 

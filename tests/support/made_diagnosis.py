@@ -11,20 +11,23 @@ from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.diagnosis import (
-    Diagnosis,
-    FittedParameter,
-    Gap,
-    MissingEffect,
-)
+from comparisons.missing_effect.conclusion import missing_effect
 from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
+from comparisons.missing_effect.results import (
+    FittedParameter,
+    Gap,
+    MissingEffect,
+    ParameterRow,
+)
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.structure import Structure
 
@@ -100,7 +103,7 @@ def made_fit(effect: Effect | None = None, values: tuple[float, ...] = ()) -> Fi
 
 
 @cache
-def made_diagnosis(verdict: str) -> Diagnosis:
+def made_diagnosis(verdict: str) -> LagDiagnosis:
     """A diagnosis of a verdict, its numbers chosen and not found.
 
     Parameters
@@ -143,7 +146,7 @@ def _found(
         FittedParameter(p.name, value, 0.01 * value, p.unit)
         for p, value in zip(winner.parameters, numbers, strict=True)
     )
-    names = (winner.name, other.name) if verdict == "alias_set" else (winner.name,)
+    members = [winner, other] if verdict == "alias_set" else [winner]
     near = (1e-4,) if other is second else (0.004,) if other is delay else (0.1, 0.3, 0.01)
     candidates = (
         Candidate((winner,), fit, np.zeros(0), evidence(950.0)),
@@ -151,7 +154,7 @@ def _found(
         Candidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
     )
     provisional = verdict == "provisional"
-    item = MissingEffect(winner.name, names, provisional, parameters, {"score": 950.0})
+    item = missing_effect(winner, members, provisional, parameters, {"score": 950.0})
     return (item, fit), candidates
 
 
@@ -180,7 +183,7 @@ def _concluded(
     candidates: tuple[Candidate, ...],
     noise: NoiseModel,
     left: Leftover,
-) -> Diagnosis:
+) -> LagDiagnosis:
     base = bench.fit
     item, after = found if found else (None, base)
     terms = tuple(c for c in candidates if c.unnamed)
@@ -191,23 +194,26 @@ def _concluded(
     tau_by_alias = {}
     if item is not None:
         tau_by_alias = dict(zip(item.alias_set, (after.tau_s, 0.1043), strict=False))
-    return Diagnosis(
-        verdict,
-        (item,) if item is not None else (),
-        Gap(before_rms, after_rms, SIGMA),
-        base.tau_s,
-        after.tau_s,
-        0.0004,
-        tau_by_alias,
-        base,
-        after,
-        base,
-        after,
-        replace(bench, fit=after).with_states().data if found else bench.data,
-        noise,
-        left,
-        (step,),
-        {"speed_droop": "needs the column Nc_frac", "thermocouple_lag": "needs the column T25_K"},
+    data = replace(bench, fit=after).with_states().data if found else bench.data
+    return LagDiagnosis(
+        verdict=verdict,
+        missing=(item,) if item is not None else (),
+        parameters=(ParameterRow("τ", "s", base.tau_s, after.tau_s, 0.0006, 0.0004),),
+        gap=Gap(before_rms, after_rms, SIGMA),
+        tau_by_alias_s=tau_by_alias,
+        before=base,
+        after=after,
+        before_fitted=base,
+        after_fitted=after,
+        left=(errors_on(base, bench.data, Metric())[0], errors_on(after, data, Metric())[0]),
+        data=data,
+        noise=noise,
+        leftover=left,
+        rounds=(step,),
+        unavailable={
+            "speed_droop": "needs the column Nc_frac",
+            "thermocouple_lag": "needs the column T25_K",
+        },
     )
 
 

@@ -72,27 +72,21 @@ def _reduce(name: str) -> str:
 def _diagnose(name: str) -> str:
     from made_diagnosis import Told, made_diagnosis
 
-    from comparisons.missing_effect.shown import where_of
-    from comparisons.show.diagnose_report import diagnosis_report
+    from comparisons.missing_effect.report import diagnosis_report
 
     d = made_diagnosis("alias_set")
     d = replace(d, data=replace(d.data, sources=(name, f"{name} 2")), unavailable={name: name})
-    return diagnosis_report(
-        d,
-        where_of(d),
-        limits=Told(name),
-        command=f"sindy-surge diagnose {name}",
-    )
+    return diagnosis_report({name: d}, f"sindy-surge diagnose {name}", limits=Told(name))
 
 
 def _system(name: str) -> str:
     from made_systems import made_diagnosis
 
-    from comparisons.missing_effect.systems.report import system_report
+    from comparisons.missing_effect.report import diagnosis_report
 
     d = made_diagnosis(name=name, runs={name: "training", f"{name} 2": "check"})
     d = replace(d, remarks=(name,), unavailable={name: name})
-    return system_report({name: d}, f"sindy-surge diagnose --model {name}")
+    return diagnosis_report({name: d}, f"sindy-surge diagnose --model {name}")
 
 
 @cache

@@ -9,6 +9,12 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.evidence import Evidence
+from comparisons.missing_effect.results import (
+    FittedParameter,
+    MissingEffect,
+    ParameterRow,
+)
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
@@ -18,13 +24,7 @@ from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.records import Records
-from comparisons.missing_effect.systems.results import (
-    CheckRun,
-    FittedNumber,
-    FoundEffect,
-    ParameterRow,
-    SystemDiagnosis,
-)
+from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.score import Probe
 from comparisons.missing_effect.systems.search import Candidate, Round
 from comparisons.missing_effect.systems.structure import Structure
@@ -80,9 +80,9 @@ def run_of(
     cube = (shape**3 - 2.0 * shape)[:, None] / 2.0
     before, after = clean - worse * BEFORE * cube, clean - AFTER * np.roll(cube, 40, axis=0)
     channels = {"U": shape, **{key: measured[:, j] for j, key in enumerate(OUTPUTS)}}
-    experiment = Experiment(name, PERIOD_S, channels)
+    kind, settle = ("check", 10) if held_out else ("fitted", 0)
     return CheckRun(
-        experiment, held_out, 10 if held_out else 0, tuple(OUTPUTS), measured, before, after
+        name, kind, PERIOD_S, t, OUTPUTS, measured, before, after, settle, signals=channels
     )
 
 
@@ -111,22 +111,23 @@ def fit_of(model: Model, effects: tuple[Placed, ...], runs: tuple[CheckRun, ...]
     return Fit(structure, theta, (), np.ones(3), 0.0, errors, ())
 
 
-def _found(model: Model, won: Candidate, aliases: tuple[Candidate, ...]) -> FoundEffect:
+def _found(model: Model, won: Candidate, aliases: tuple[Candidate, ...]) -> MissingEffect:
     effect = won.placed.effect
     place = won.placed.where(model)
-    return FoundEffect(
+    numbers = enumerate(effect.numbers)
+    return MissingEffect(
         effect.name,
-        won.placed.label(model),
-        place,
         tuple(dict.fromkeys(c.placed.name for c in aliases)),
-        tuple(c.placed.label(model) for c in aliases),
         False,
-        effect.unnamed,
-        tuple(FittedNumber(n.name, 12.3 + j, 0.4, "N/m^3") for j, n in enumerate(effect.numbers)),
+        tuple(FittedParameter(n.name, 12.3 + j, 0.4, "N/m^3") for j, n in numbers),
         {"train": 812.0, "held_out": 340.0, "z": 8.1, "score": 1148.0, "p_value": 1e-200},
-        effect.equation.replace("{s}", place.get("signal", place.get("input", ""))),
-        effect.says,
-        effect.confirm,
+        label=won.placed.label(model),
+        place=place,
+        alias_labels=tuple(c.placed.label(model) for c in aliases),
+        unnamed=effect.unnamed,
+        equation=effect.equation.replace("{s}", place.get("signal", place.get("input", ""))),
+        says=effect.says,
+        confirm={c.placed.label(model): c.placed.effect.confirm for c in aliases},
     )
 
 
@@ -183,7 +184,7 @@ def made_diagnosis(
     if nothing:
         made = [replace(run, before=run.after) for run in made]
     training = tuple(run for run in made if not run.held_out)
-    records = Records.of(model, [run.experiment for run in training])
+    records = Records.of(model, [Experiment(run.name, PERIOD_S, run.signals) for run in training])
     before = fit_of(model, (), training)
     rounds = _rounds(model, Bench(records, (), (), before), training)
     if nothing:
@@ -199,18 +200,18 @@ def made_diagnosis(
         for key, p in model.params.items()
     )
     return SystemDiagnosis(
-        model,
-        "nothing_missing" if nothing else "alias_set",
-        missing,
-        records,
-        rounds,
-        before,
-        after,
-        parameters,
-        (FittedNumber("U", 0.31, 0.02, "samples"),),
-        training,
-        tuple(run for run in made if run.held_out),
-        tuple(NOISE.tolist()),
-        rounds[-1].refused,
-        () if nothing else ("open_product would explain 1.0 % that is left; not added.",),
+        verdict="nothing_missing" if nothing else "alias_set",
+        missing=missing,
+        parameters=parameters,
+        unavailable=rounds[-1].refused,
+        remarks=() if nothing else ("open_product would explain 1.0 % that is left; not added.",),
+        model=model,
+        records=records,
+        rounds=rounds,
+        before=before,
+        after=after,
+        offsets=(FittedParameter("U", 0.31, 0.02, "samples"),),
+        training=training,
+        checks=tuple(run for run in made if run.held_out),
+        floor=tuple(NOISE.tolist()),
     )

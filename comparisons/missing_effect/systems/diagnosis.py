@@ -8,6 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.nulls import Leftover
+from comparisons.missing_effect.results import (
+    CORRELATION,
+    FittedParameter,
+    MissingEffect,
+    ParameterRow,
+)
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
@@ -19,13 +26,7 @@ from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
-from comparisons.missing_effect.systems.results import (
-    CheckRun,
-    FittedNumber,
-    FoundEffect,
-    ParameterRow,
-    SystemDiagnosis,
-)
+from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.search import Round, search_round, still_aliases
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
@@ -211,20 +212,23 @@ def _concluded(
         missing = (*missing[:1], *(_doubted(item) for item in missing[1:]))
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
-        model,
-        _verdict(missing, base, left),
-        missing,
-        records,
-        rounds,
-        before,
-        after,
-        _parameters(records, before, before_cov, after, after_cov),
-        _offsets(model, after, after_cov),
-        tuple(_trained(records, e, before, after, r) for r, e in enumerate(records.whole)),
-        checked,
-        metric.sigma,
-        rounds[-1].refused if rounds else {},
-        (*_remarks(base, rounds, missing, left), *remarks),
+        verdict=_verdict(missing, base, left),
+        missing=missing,
+        parameters=_parameters(records, before, before_cov, after, after_cov),
+        unavailable=rounds[-1].refused if rounds else {},
+        remarks=(*_remarks(base, rounds, missing, left), *remarks),
+        model=model,
+        records=records,
+        rounds=rounds,
+        before=before,
+        after=after,
+        offsets=_offsets(model, after, after_cov),
+        training=tuple(
+            _run(e, "fitted", model, before.paths[r].outputs, after.paths[r].outputs)
+            for r, e in enumerate(records.whole)
+        ),
+        checks=checked,
+        floor=metric.sigma,
     )
 
 
@@ -248,7 +252,7 @@ def _found(
     placed: Placed,
     records: Records,
     worse: Sequence[CheckRun],
-) -> FoundEffect:
+) -> MissingEffect:
     winner = step.winner
     assert winner is not None
     assert winner.evidence is not None
@@ -259,14 +263,13 @@ def _found(
     names = tuple(dict.fromkeys(c.placed.name for c in aliases)) if alone else (placed.name,)
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
-    return FoundEffect(
+    confirm = {placed.label(model): placed.words(model).confirm}
+    for c in aliases if alone else ():
+        confirm.setdefault(c.placed.label(model), c.placed.words(model).confirm)
+    return MissingEffect(
         placed.name,
-        placed.label(model),
-        placed.where(model),
         names,
-        labels,
         bool(doubts),
-        placed.effect.unnamed,
         numbers,
         {
             "train": evidence.train,
@@ -274,16 +277,20 @@ def _found(
             "z": evidence.z,
             "score": evidence.score,
             "p_value": evidence.p_value,
-            "largest_correlation": correlation_of(fit, placed, cov),
+            CORRELATION: correlation_of(fit, placed, cov),
         },
+        doubts,
+        placed.label(model),
+        placed.where(model),
+        labels,
+        placed.effect.unnamed,
         placed.equation(model),
         placed.words(model).says,
-        placed.words(model).confirm,
-        doubts,
+        confirm,
     )
 
 
-def _doubted(item: FoundEffect) -> FoundEffect:
+def _doubted(item: MissingEffect) -> MissingEffect:
     """Doubt a name beyond the first in a model whose error is still foretold.
 
     It may stand in for what is left.
@@ -294,7 +301,7 @@ def _doubted(item: FoundEffect) -> FoundEffect:
     return replace(item, provisional=True, doubts=doubts)
 
 
-def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:
+def _verdict(missing: Sequence[MissingEffect], base: Bench, left: Leftover) -> str:
     if base.fit.failed:
         return "unexplained_structure"
     if not missing:
@@ -364,10 +371,10 @@ def _record_parameters(
     return rows
 
 
-def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedNumber, ...]:
+def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, ...]:
     first = len(model.params)
     return tuple(
-        FittedNumber(
+        FittedParameter(
             name,
             float(fit.theta[first + j]),
             float(np.sqrt(max(cov[first + j, first + j], 0.0))),
@@ -377,18 +384,24 @@ def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedNumber, ...
     )
 
 
-def _trained(
-    records: Records, experiment: Experiment, before: Fit, after: Fit, which: int
+def _run(
+    experiment: Experiment, kind: str, model: Model, *simulated: FloatArray, settle: int = 0
 ) -> CheckRun:
-    measured = experiment.columns(records.model.output_names)
+    """Return a record with its simulations before, after, and fitted to the record itself."""
+    before, after, *own = simulated
+    n, period_s = experiment.n_samples, experiment.sample_period_s
     return CheckRun(
-        experiment,
-        False,
-        0,
-        records.model.output_names,
-        measured,
-        before.paths[which].outputs,
-        after.paths[which].outputs,
+        experiment.name,
+        kind,
+        period_s,
+        experiment.first_s + period_s * np.arange(n, dtype=np.float64),
+        model.outputs,
+        experiment.columns(model.output_names),
+        before,
+        after,
+        settle,
+        experiment.channels,
+        own[0] if own else None,
     )
 
 
@@ -408,8 +421,7 @@ def _checked(
             there.structure, [run], raw, there.theta, there.starts, there.scale, most=REFIT_STEPS
         )
         simulated.append(own.paths[0].outputs)
-    measured = experiment.columns(records.model.output_names)
-    return CheckRun(experiment, True, settle, records.model.output_names, measured, *simulated)
+    return _run(experiment, "check", records.model, *simulated, settle=settle)
 
 
 def _refitted_words(run: CheckRun) -> list[str]:
@@ -418,7 +430,7 @@ def _refitted_words(run: CheckRun) -> list[str]:
     for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True):
         if own < WORTH_SAYING * after:
             out.append(
-                f"{name} of {run.experiment.name}: with its parameters fitted to this very record "
+                f"{name} of {run.name}: with its parameters fitted to this very record "
                 f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is what "
                 "differs between the records, which the training records cannot tell."
             )
@@ -426,7 +438,7 @@ def _refitted_words(run: CheckRun) -> list[str]:
 
 
 def _remarks(
-    base: Bench, rounds: Sequence[Round], missing: Sequence[FoundEffect], left: Leftover
+    base: Bench, rounds: Sequence[Round], missing: Sequence[MissingEffect], left: Leftover
 ) -> tuple[str, ...]:
     out = []
     if not base.fit.failed and (left.structured or left.disturbed):

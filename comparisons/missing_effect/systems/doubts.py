@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.results import FittedParameter
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.linearised import FINE
@@ -14,7 +16,6 @@ from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.results import CheckRun, FittedNumber
 from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.search import Round
 
@@ -29,7 +30,7 @@ FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
 def doubts_of(
     step: Round,
     placed: Placed,
-    numbers: Sequence[FittedNumber],
+    numbers: Sequence[FittedParameter],
     worse: Sequence[CheckRun],
     model: Model,
 ) -> tuple[str, ...]:
@@ -41,7 +42,7 @@ def doubts_of(
         The round that found it.
     placed : Placed
         The effect.
-    numbers : sequence of FittedNumber
+    numbers : sequence of FittedParameter
         Its numbers.
     worse : sequence of CheckRun
         Check records whose error grew.
@@ -76,7 +77,7 @@ def doubts_of(
             "it"
         )
     if worse:
-        names = ", ".join(run.experiment.name for run in worse)
+        names = ", ".join(run.name for run in worse)
         out.append(f"the error on {names} got no better by it")
     return tuple(out)
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.results import FittedNumber
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import answers
 from comparisons.missing_effect.systems.structure import Run
@@ -93,7 +93,7 @@ def _sandwich(normal: FloatArray, spread: FloatArray) -> FloatArray:
 
 def numbers_of(
     fit: Fit, placed: Placed, cov: FloatArray, clock: FloatArray
-) -> tuple[FittedNumber, ...]:
+) -> tuple[FittedParameter, ...]:
     """Return the numbers of one effect in physical units.
 
     Parameters
@@ -125,7 +125,7 @@ def numbers_of(
         out.append((number.name, factor * value, abs(factor) * float(np.sqrt(variance)), unit))
     if placed.effect.linear and placed.effect.kind in (Kind.TERM, Kind.HYSTERESIS):
         out = _balanced(fit, placed, cov, out, at)
-    return tuple(FittedNumber(n, float(v), float(e), u) for n, v, e, u in out)
+    return tuple(FittedParameter(n, float(v), float(e), u) for n, v, e, u in out)
 
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.missing_effect.systems.results import CheckRun, FoundEffect
+from comparisons.missing_effect.results import MissingEffect
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.where import Residuals, Where
 from comparisons.missing_effect.where import where_of as where_of_residuals
@@ -24,7 +25,7 @@ SIGNAL_KEYS = ("signal", "input", "sensor", "state")
 
 def where_of(
     check: CheckRun,
-    effects: Sequence[FoundEffect] = (),
+    effects: Sequence[MissingEffect] = (),
     *,
     output: str | None = None,
     model: Model | None = None,
@@ -35,7 +36,7 @@ def where_of(
     ----------
     check : CheckRun
         A run, simulated without and with what was added.
-    effects : sequence of FoundEffect
+    effects : sequence of MissingEffect
         What was added: the signal of the first one whose signal is measured is looked at.
     output : str, optional
         Name of the output; without it the one that the model before misses most, against its own
@@ -51,23 +52,21 @@ def where_of(
     chosen = worst_output(check) if output is None else output
     if chosen not in check.outputs:
         raise InputError(
-            f"{check.experiment.name}: output",
+            f"{check.name}: output",
             expected=f"one of {', '.join(check.outputs)}",
             found=repr(chosen),
         )
-    column = check.outputs.index(chosen)
+    column = list(check.outputs).index(chosen)
     scored = slice(check.settle, None)
     measured = check.measured[scored, column]
     signal, values = _signal(check, effects, chosen, model)
     own = signal == chosen
-    period_s = check.experiment.sample_period_s
-    units = {} if model is None else {**model.inputs, **model.outputs}
-    rows = np.arange(check.settle, check.settle + measured.size, dtype=np.float64)
+    units = {**({} if model is None else model.inputs), **check.outputs}
     return where_of_residuals(
         Residuals(
             chosen,
             units.get(chosen, "1"),
-            check.experiment.first_s + period_s * rows,
+            check.time_s[scored],
             measured,
             check.before[scored, column],
             check.after[scored, column],
@@ -76,8 +75,8 @@ def where_of(
             units.get(signal, "1"),
             (slice(0, measured.size),),
             np.zeros(measured.size, dtype=np.int64),
-            (check.experiment.name,),
-            period_s,
+            (check.name,),
+            check.period_s,
             own,
         )
     )
@@ -91,16 +90,15 @@ def worst_output(check: CheckRun) -> str:
     check : CheckRun
         A run.
     """
-    swing = np.nanstd(check.measured[check.settle :], axis=0)
-    share = check.before_rms / np.where(swing > 0.0, swing, 1.0)
-    return check.outputs[int(np.argmax(np.where(np.isfinite(share), share, np.inf)))]
+    share = check.before_rms / check.swing
+    return list(check.outputs)[int(np.argmax(np.where(np.isfinite(share), share, np.inf)))]
 
 
 def _signal(
-    check: CheckRun, effects: Sequence[FoundEffect], output: str, model: Model | None
+    check: CheckRun, effects: Sequence[MissingEffect], output: str, model: Model | None
 ) -> tuple[str, FloatArray]:
     """Return the signal of an effect as far as it is measured; the output where none is."""
-    channels = check.experiment.channels
+    channels = check.signals
     also = {}
     if model is not None:
         also = {model.state_names[i]: name for i, name in measured_as(model).items()}

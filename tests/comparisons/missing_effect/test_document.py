@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from made_diagnosis import Told, made_diagnosis
+from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.document import diagnosis_document
-from comparisons.missing_effect.shown import where_of
 from surge_core.files import to_strict_json
-
-PANELS = ("time", "frequency", "flow")
 
 
 def document_of(verdict: str) -> dict[str, Any]:
     d = made_diagnosis(verdict)
-    written = to_strict_json(diagnosis_document(d, where_of(d)))
+    written = to_strict_json(diagnosis_document(d))
     parsed: dict[str, Any] = json.loads(written, parse_constant=_refuse)
     return parsed
 
@@ -57,17 +55,16 @@ def test_what_is_not_known_is_null() -> None:
     first = step.candidates[0]
     alone = replace(first, evidence=replace(first.evidence, other=math.nan))
     d = replace(d, rounds=(replace(step, candidates=(alone, *step.candidates[1:])),))
-    document = json.loads(to_strict_json(diagnosis_document(d, None)))
+    document = json.loads(to_strict_json(diagnosis_document(d)))
     assert document["candidates"][0]["other_record_gain"] is None
-    assert document["where"] == {name: [] for name in PANELS}
 
 
 def test_limits_and_separation_are_null_until_they_are_looked_for() -> None:
     d = made_diagnosis("alias_set")
-    plain = diagnosis_document(d, None)
+    plain = diagnosis_document(d)
     assert plain["limits"] is None
     assert plain["separation"] is None
-    asked = diagnosis_document(d, None, Told("a"), Told("b"), base={"source": "sindy"})
+    asked = diagnosis_document(d, limits=Told("a"), separation=Told("b"), base={"source": "sindy"})
     assert asked["limits"] == {"lines": ["a"]}
     assert asked["separation"] == {"lines": ["b"]}
     assert asked["base"] == {"terms": ["1", "phi", "phi^2"], "source": "sindy"}
@@ -82,3 +79,15 @@ def test_both_branches_of_a_hysteresis_are_written() -> None:
     # The lower branch, Δ below, holds on the way up between the thresholds alone.
     np.testing.assert_allclose(apart[between], 0.021, atol=1e-12)
     np.testing.assert_allclose(apart[(phi < 0.10) | (phi > 0.33)], 0.0, atol=1e-12)
+
+
+def test_both_kinds_write_one_schema() -> None:
+    lag, system = diagnosis_document(made_diagnosis("alias_set")), diagnosis_document(made_system())
+    common = {"schema", "verdict", "words", "missing", "gap", "time_constant_s", "where"}
+    common |= {"candidates", "parameters", "test_rmse", "training_rmse", "unavailable"}
+    common |= {"cannot_be_told", "not_there", "remarks", "model"}
+    assert common <= set(lag) & set(system)
+    for name in ("candidates", "parameters"):
+        assert set(lag[name][0]) == set(system[name][0])
+    assert set(system["missing"][0]) <= set(lag["missing"][0])
+    assert set(lag["test_rmse"]["run-2.csv"]) == {"before", "after", "unit"}

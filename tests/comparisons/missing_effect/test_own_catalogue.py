@@ -18,7 +18,6 @@ from comparisons.missing_effect.extended_refit import refitted, value_of
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.limits import planted_limits
 from comparisons.missing_effect.ports import Ports
-from comparisons.missing_effect.ranked import not_fitted
 from comparisons.missing_effect.separate import separating_measurements
 from comparisons.missing_effect.terminal import diagnosis_text
 from comparisons.rig.coefficient_tests import simulate_test
@@ -71,13 +70,13 @@ def test_it_is_named_and_shown(found: Diagnosis) -> None:
     assert set(found.missing[0].alias_set) == {"probe_swirl", "probe_swirl_near_rest"}
     (number,) = found.missing[0].parameters
     assert abs(number.value - SIZE) < 4.0 * number.stderr
-    assert set(not_fitted(found)) <= {effect.name for effect in OWN}
-    (item,) = diagnosis_document(found, None)["missing"]
+    assert set(found.not_fitted) <= set(OWN)
+    (item,) = diagnosis_document(found)["missing"]
     assert item["label"] == f"{item['effect']} at the output ψ'"
     assert item["place"] == {"port": "output"}
     assert len(item["alias_labels"]) == 2
     assert item["confirm"][item["effect"]] == "a probe turned by 90°"
-    assert "probe_swirl" in diagnosis_text(found, None)
+    assert "probe_swirl" in diagnosis_text(found)
 
 
 def test_it_is_simulated_saved_and_fitted_again(found: Diagnosis, tmp_path: Path) -> None:

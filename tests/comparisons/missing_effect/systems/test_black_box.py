@@ -123,7 +123,7 @@ def test_what_is_missing_at_the_input_of_a_black_box_is_named() -> None:
     first = found.missing[0]
     assert "dead_zone" in first.alias_set
     assert first.place["input"] == "v"
-    assert abs(first.numbers[0].value - 1.0) < max(4.0 * first.numbers[0].stderr, 0.02)
+    assert abs(first.parameters[0].value - 1.0) < max(4.0 * first.parameters[0].stderr, 0.02)
     assert "out of reach" in found.unavailable["coulomb_friction"]
     assert "transport_delay" not in found.unavailable
     assert found.checks[0].after_rms[0] < 0.3 * found.checks[0].before_rms[0]

@@ -10,8 +10,8 @@ import pytest
 from driven_mass import CUBIC, MODEL, files
 
 from comparisons.cli import main
+from comparisons.missing_effect.script import run_script
 from comparisons.missing_effect.systems.files import load_model, read_experiment
-from comparisons.missing_effect.systems.script import run_script
 
 
 def run(*arguments: object) -> int:

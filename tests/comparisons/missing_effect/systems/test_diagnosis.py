@@ -95,7 +95,7 @@ def test_what_was_hidden_is_named(case: str) -> None:
     assert name in first.alias_set
     assert any(name in label and place in label for label in first.alias_labels)
     if first.effect == name:
-        for number in first.numbers:
+        for number in first.parameters:
             if number.name in numbers:
                 wanted = numbers[number.name]
                 assert abs(number.value - wanted) < max(4.0 * number.stderr, 5e-3 * wanted), number
@@ -111,7 +111,7 @@ def test_a_drive_at_its_limit_is_named_and_the_parameters_are_right() -> None:
     found = diagnosed("circuit", most_effects=1, drive_limit=10.0)
     assert (found.verdict, found.names) == ("named", ("saturation",))
     assert found.missing[0].place["input"] == "v"
-    assert found.missing[0].numbers[0].value == pytest.approx(10.0, rel=5e-3)
+    assert found.missing[0].parameters[0].value == pytest.approx(10.0, rel=5e-3)
     row = found.parameter("R")
     assert abs(row.after - truth.CIRCUIT["R"]) < 4.0 * row.after_stderr
     check = found.checks[0]
@@ -123,7 +123,7 @@ def test_a_delay_is_named_as_one() -> None:
     """Six seconds between the heater's switch and its heat."""
     found = diagnosed("thermal", most_effects=1, rows=800, delay_s=6.0)
     assert found.missing[0].effect == "transport_delay"
-    number = found.missing[0].numbers[0]
+    number = found.missing[0].parameters[0]
     assert number.value == pytest.approx(6.0, abs=max(4.0 * number.stderr, 0.1))
 
 
@@ -166,7 +166,7 @@ def test_the_order_of_experiments_and_units_leave_the_name() -> None:
     other = diagnose_model(in_milli, scaled[::-1], most_effects=1)
     assert other.verdict == one.verdict
     assert set(other.missing[0].alias_labels) == set(one.missing[0].alias_labels)
-    number, wanted = other.missing[0].numbers[0], one.missing[0].numbers[0]
+    number, wanted = other.missing[0].parameters[0], one.missing[0].parameters[0]
     assert number.unit == wanted.unit
     assert number.value == pytest.approx(wanted.value, abs=0.5 * wanted.stderr)
     assert one.missing[0].effect == "dead_zone"
@@ -183,7 +183,7 @@ def test_a_play_is_told_from_a_timing_offset() -> None:
     """The model without it puts what comes late down to a timing offset; true: ± 2 N."""
     found = diagnosed("body", most_effects=1, rows=1200, play=2.0)
     assert found.missing[0].alias_set == ("backlash",)
-    play = found.missing[0].numbers[0]
+    play = found.missing[0].parameters[0]
     assert abs(play.value - 2.0) < max(4.0 * play.stderr, 0.04)
     assert np.all(found.checks[0].after_rms < 1.5 * noise_of(found))
 
@@ -194,8 +194,8 @@ def test_a_vessel_that_spills_is_named_from_a_model_whose_levels_are_far_off() -
     assert first.alias_set == ("overflow",)
     assert first.place == {"state": "upper", "signal": "upper"}
     # The truth's edge takes half a sample, the model's a quarter: the rim differs by that much.
-    assert first.numbers[0].value == pytest.approx(9.5, abs=0.06)
-    assert [number.name for number in first.numbers] == ["rim"]
+    assert first.parameters[0].value == pytest.approx(9.5, abs=0.06)
+    assert [number.name for number in first.parameters] == ["rim"]
 
 
 def test_what_acts_in_the_held_out_rows_alone_is_not_called_nothing() -> None:

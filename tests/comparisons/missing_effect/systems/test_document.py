@@ -12,11 +12,11 @@ import pytest
 from driven_mass import CUBIC, NOISE_M, files
 from made_systems import made_diagnosis
 
-from comparisons.missing_effect.systems import document as documents
+from comparisons.missing_effect.document import diagnosis_document, rmse_of
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.files import load_model, read_experiment
-from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
-from comparisons.missing_effect.systems.words import system_words
+from comparisons.missing_effect.systems.results import SystemDiagnosis
+from comparisons.missing_effect.words import verdict_words
 from surge_core.files import to_strict_json
 
 KEYS = {
@@ -29,6 +29,7 @@ KEYS = {
     "where",
     "candidates",
     "cannot_be_told",
+    "not_there",
     "parameters",
     "timing_offsets",
     "input_between_samples",
@@ -63,7 +64,7 @@ def refuse(word: str) -> float:
 
 
 def read_back(d: SystemDiagnosis) -> dict[str, Any]:
-    text = to_strict_json(documents.system_document(d))
+    text = to_strict_json(diagnosis_document(d))
     # json reads NaN and Infinity, which are no JSON.
     found: dict[str, Any] = json.loads(text, parse_constant=refuse)
     return found
@@ -77,7 +78,7 @@ def test_the_document_is_strict_json_of_plain_types(
         assert set(found) == KEYS
         assert found["schema"] == "sindy-surge/diagnose/1"
         assert found["time_constant_s"] == {"before": None, "after": None, "by_alias": {}}
-        assert found["where"] == {"time": [], "frequency": [], "flow": []}
+        assert all(found["where"][name] for name in ("time", "frequency", "flow"))
         assert found["model"]["outputs"] == {"y": "m"}
 
 
@@ -125,6 +126,7 @@ def test_a_simulation_that_failed_is_null(hidden: SystemDiagnosis) -> None:
     failed = replace(run, before=np.full_like(run.before, np.nan))
     found = read_back(replace(hidden, checks=(failed,)))
     assert found["gap"]["before_rms"] is None
+    assert found["where"] == {"time": [], "frequency": [], "flow": []}
     assert found["test_rmse"]["check"]["before"] is None
 
 
@@ -135,16 +137,14 @@ def two_outputs(d: SystemDiagnosis, unit: str, factor: float) -> SystemDiagnosis
     def both(values: np.ndarray, times: float) -> np.ndarray:
         return np.hstack([values, factor * (run.measured + times * (values - run.measured))])
 
-    made = CheckRun(
-        run.experiment,
-        True,
-        run.settle,
-        ("y", "z"),
-        both(run.measured, 1.0),
-        both(run.before, 2.0),
-        both(run.after, 2.0),
-    )
     outputs = {"y": "m", "z": unit}
+    made = replace(
+        run,
+        outputs=outputs,
+        measured=both(run.measured, 1.0),
+        before=both(run.before, 2.0),
+        after=both(run.after, 2.0),
+    )
     model = replace(
         d.model, outputs=outputs, output=lambda t, x, u, p: (x.q, factor * x.q), name="two"
     )
@@ -164,16 +164,16 @@ def test_splits_and_units_of_the_errors(
     hidden: SystemDiagnosis, unit: str, factor: float, told: str, times: float
 ) -> None:
     d = two_outputs(hidden, unit, factor)
-    own, gap = documents.system_document(hidden)["gap"], documents.system_document(d)["gap"]
+    own, gap = hidden.gap, d.gap
     (run,) = hidden.checks
     swing = float(np.std(run.measured[run.settle :]))
     # One and two shares of the swing: the root mean square is √2.5 of the first.
-    assert gap["after_rms"] == pytest.approx(np.sqrt(2.5) * own["after_rms"] / swing, rel=1e-6)
-    assert gap["shrink"] == pytest.approx(own["shrink"], rel=1e-6)
-    errors = documents.test_rmse(d)
+    assert gap.after_rms == pytest.approx(np.sqrt(2.5) * own.after_rms / swing, rel=1e-6)
+    assert gap.shrink == pytest.approx(own.shrink, rel=1e-6)
+    errors = rmse_of(d.checks)
     # The two check records have one name: none is lost.
     assert set(errors) == {"y_check", "z_check", "y_check (2)", "z_check (2)"}
-    single = documents.test_rmse(hidden)["check"]
+    single = rmse_of(hidden.checks)["check"]
     assert errors["y_check"]["before"] == pytest.approx(single["before"])
     assert errors["y_check"]["unit"] == single["unit"] == "m"
     found = errors["z_check"]
@@ -187,7 +187,7 @@ def test_a_check_that_got_worse_comes_first_and_each_doubt_is_said() -> None:
     worse = replace(check, after=check.before + 2.0 * (check.before - check.measured))
     doubted = replace(d.missing[0], provisional=True, doubts=("the reason",))
     d = replace(d, missing=(doubted, *d.missing[1:]), checks=(worse, *d.checks[1:]))
-    words = system_words(d)
-    assert words.index(worse.experiment.name) < words.index("lacks")
+    words = verdict_words(d)
+    assert words.index(worse.name) < words.index("lacks")
     assert "the reason" in words
     assert read_back(d)["missing"][0]["doubts"] == ["the reason"]

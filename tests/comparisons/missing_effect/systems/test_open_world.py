@@ -71,7 +71,7 @@ def test_a_product_that_no_name_holds_is_given_as_an_equation(seed: int) -> None
     assert found.verdict == "unnamed_term"
     (item,) = found.missing
     assert "x²·v" in item.label
-    assert item.numbers[0].value == pytest.approx(-0.4, rel=0.01)
+    assert item.parameters[0].value == pytest.approx(-0.4, rel=0.01)
     assert found.checks[0].after_rms < 0.1 * found.checks[0].before_rms
 
 

@@ -8,19 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_diagnosis import made_diagnosis as made_lag
 from made_systems import made_diagnosis
 from matplotlib.colors import to_hex
 
+from comparisons.missing_effect.plots import AFTER, BEFORE, draw_diagnosis, draw_errors
+from comparisons.missing_effect.results import Diagnosis
 from comparisons.missing_effect.scales import scale_of
-from comparisons.missing_effect.systems.plots import (
-    AFTER,
-    BEFORE,
-    draw_candidates,
-    draw_errors,
-    draw_residuals,
-    draw_runs,
-)
 from comparisons.missing_effect.systems.results import SystemDiagnosis
+from comparisons.missing_effect.telling import wheres_of
+from comparisons.page.style import new_figure
 
 
 def ran_away() -> SystemDiagnosis:
@@ -29,7 +26,9 @@ def ran_away() -> SystemDiagnosis:
     return replace(d, checks=gone)
 
 
-KINDS: dict[str, Callable[[], SystemDiagnosis]] = {
+KINDS: dict[str, Callable[[], Diagnosis]] = {
+    "a lag": lambda: made_lag("alias_set"),
+    "a lag that lacks nothing": lambda: made_lag("nothing_missing"),
     "nothing": lambda: made_diagnosis(nothing=True),
     "text that is no formula": lambda: made_diagnosis(runs={"p$25": "training", "$": "check"}),
     "ran away": ran_away,
@@ -40,23 +39,20 @@ KINDS: dict[str, Callable[[], SystemDiagnosis]] = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_diagnosis_is_drawn(kind: str) -> None:
     d = KINDS[kind]()
-    drawn = [draw_errors, draw_candidates]
-    if d.checks:
-        drawn += [draw_runs, draw_residuals]
-    for draw in drawn:
-        draw(d).savefig(io.BytesIO(), format="png")
+    draw_diagnosis(d, wheres_of(d)).savefig(io.BytesIO(), format="png")
 
 
 def test_dumbbells_end_at_the_errors() -> None:
     d = made_diagnosis()
-    runs = (*d.training, *d.checks)
-    for j, (ax, factor) in enumerate(zip(draw_errors(d).axes, (1e3, 1.0, 1e6), strict=True)):
+    for j, (name, factor) in enumerate(zip(d.outputs, (1e3, 1.0, 1e6), strict=True)):
+        ax = new_figure().add_subplot()
+        draw_errors(ax, d, name)
         lines = {
             to_hex(str(line.get_color())): line for line in ax.lines if line.get_marker() == "o"
         }
         before, after = lines[BEFORE.lower()].get_xdata(), lines[AFTER.lower()].get_xdata()
-        assert before == pytest.approx([factor * run.before_rms[j] for run in runs])
-        assert after == pytest.approx([factor * run.after_rms[j] for run in runs])
+        assert before == pytest.approx([factor * run.before_rms[j] for run in d.runs])
+        assert after == pytest.approx([factor * run.after_rms[j] for run in d.runs])
 
 
 @pytest.mark.parametrize(

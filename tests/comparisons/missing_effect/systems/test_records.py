@@ -148,7 +148,7 @@ def test_a_slower_output_and_an_outage_leave_the_name() -> None:
     made["Q"] = np.where((rows % 3 == 0) & ((rows < 500) | (rows > 560)), made["Q"], np.nan)
     found = diagnose_model(make.pipe(), make.experiment("pipe", made), most_effects=1)
     assert found.missing[0].effect == "quadratic_drag"
-    number = found.missing[0].numbers[0]
+    number = found.missing[0].parameters[0]
     assert abs(number.value - 0.3) < 4.0 * number.stderr < 0.06
     assert np.all(np.isfinite(found.training[0].after_rms))
     assert np.all(np.isfinite(found.training[0].after))

@@ -11,8 +11,7 @@ import pytest
 from made_systems import made_diagnosis
 
 from classic_ml.records import FloatArray
-from comparisons.missing_effect.systems.experiments import Experiment
-from comparisons.missing_effect.systems.results import CheckRun
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.where import where_of
 
 PERIOD_S = 0.01
@@ -25,9 +24,18 @@ CLEAN = 2.0 * np.sin(2.0 * np.pi * 0.37 * PERIOD_S * np.arange(N)) + np.sin(
 def parted(planted: FloatArray, noise: FloatArray, *, settle: int = 0) -> CheckRun:
     """Return a run in which the model before lacks what is planted, and noise is left after."""
     measured = CLEAN + planted + noise
-    e = Experiment("run", PERIOD_S, {"y": measured, "u": np.roll(CLEAN, 30)}, first_s=100.0)
-    after = CLEAN + planted
-    return CheckRun(e, True, settle, ("y",), measured[:, None], CLEAN[:, None], after[:, None])
+    return CheckRun(
+        "run",
+        "check",
+        PERIOD_S,
+        100.0 + PERIOD_S * np.arange(N),
+        {"y": "1"},
+        measured[:, None],
+        CLEAN[:, None],
+        (CLEAN + planted)[:, None],
+        settle,
+        {"y": measured, "u": np.roll(CLEAN, 30)},
+    )
 
 
 def white(seed: int, size: float = 0.02) -> FloatArray:
@@ -53,10 +61,10 @@ def test_a_quadratic_shows_over_the_signal_and_is_gone_after() -> None:
     for seed in range(10):
         # The system has it; the model after has it as well.
         check = parted(0.1 * CLEAN**2, white(seed))
-        e = replace(check.experiment, channels={**check.experiment.channels, "y": CLEAN})
-        where = where_of(replace(check, experiment=e, after=check.after), output="y")
+        check = replace(check, signals={**check.signals, "y": CLEAN})
+        where = where_of(check, output="y")
         assert where.of.simulated
-        over_u = where_of(replace(check, experiment=e), (_effect_on("u"),), output="y")
+        over_u = where_of(check, (_effect_on("u"),), output="y")
         assert over_u.of.signal == "u"
         assert not over_u.of.simulated
         for row in where.flow:

@@ -1,4 +1,4 @@
-"""Numbers behind what is shown of a diagnosis: residuals, held-out runs, curves, contributions."""
+"""What a fitted lag model does: where it misses, its characteristic, and what each effect adds."""
 
 from __future__ import annotations
 
@@ -9,63 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
-from comparisons.missing_effect.diagnosis import Diagnosis
-from comparisons.missing_effect.episodes import errors_on
-from comparisons.missing_effect.excitation import surge_frequency_hz
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.open_terms import with_state
 from comparisons.missing_effect.ports import Ports
-from comparisons.missing_effect.uncertainty import fitted_parameters, without_amplitude
-from comparisons.missing_effect.where import Residuals, Where
-from comparisons.missing_effect.where import where_of as where_of_residuals
-from comparisons.missing_effect.whole_runs import cycles_left_out
+from comparisons.missing_effect.uncertainty import without_amplitude
+from comparisons.missing_effect.where import Residuals, Where, where_of
 from surge_core.types import FloatArray
 
-__all__ = [
-    "Contribution",
-    "Curve",
-    "HeldOutRun",
-    "contributions",
-    "held_out_run",
-    "steady_curves",
-    "stretch",
-    "tau_before_stderr_s",
-    "where_of",
-]
+__all__ = ["Curve", "contributions", "lag_where", "steady_curves"]
 
 CURVE_POINTS = 241
-# Enough cycles to see that the error repeats, few enough to tell the lines apart.
-CYCLES_SHOWN = 5.0
-FEWEST_SHOWN, MOST_SHOWN = 60, 1500
 # After so many τ less than 1 % of how a run was started is left.
 SETTLING_TAUS = 5.0
-
-
-@dataclass(frozen=True)
-class HeldOutRun:
-    """The measured coefficient and both free runs, by fits to other rows.
-
-    Rows that were fitted stand as they were fitted; on whole runs each row comes from a fit that
-    did not see its cycle.
-
-    Parameters
-    ----------
-    time_s : ndarray of shape (n,)
-        Facility clock, in seconds.
-    measured, before, after : ndarray of shape (n,)
-        The coefficient, and the models without and with what was added; NaN in rows that are not
-        scored.
-    held_out : ndarray of bool, shape (n,)
-        Rows that were scored and not fitted.
-    """
-
-    time_s: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-    held_out: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -85,32 +43,12 @@ class Curve:
     value: FloatArray
 
 
-@dataclass(frozen=True)
-class Contribution:
-    """What one effect adds to the free run.
-
-    Parameters
-    ----------
-    effect : str
-        Its name.
-    value : ndarray of shape (n,)
-        Free run with everything, less the same with this effect's amplitude at zero; NaN in rows
-        that are not scored, and where each run still shows how it was started.
-    rms : float
-        Over the rest.
-    """
-
-    effect: str
-    value: FloatArray
-    rms: float
-
-
-def where_of(d: Diagnosis) -> Where:
+def lag_where(d: LagDiagnosis) -> Where:
     """Return where the residuals of the fits to all rows stand out of the noise.
 
     Parameters
     ----------
-    d : Diagnosis
+    d : LagDiagnosis
         The diagnosis.
 
     Raises
@@ -125,7 +63,7 @@ def where_of(d: Diagnosis) -> Where:
         data.measured - fit.errors(_with_state_of(fit, data), Metric())
         for fit in (d.before, d.after)
     )
-    return where_of_residuals(
+    return where_of(
         Residuals(
             "psi_p",
             "1",
@@ -145,52 +83,6 @@ def where_of(d: Diagnosis) -> Where:
             cycle_hz=1.0 / data.surge_s,
         )
     )
-
-
-def held_out_run(d: Diagnosis) -> HeldOutRun:
-    """Return both free runs over all scored rows.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
-    data, scored = d.data, d.data.scored()
-    before, after = (
-        np.where(scored, data.measured - _held_out_errors(d, fit), np.nan)
-        for fit in (d.before_fitted, d.after_fitted)
-    )
-    held_out = scored & (d.whole_runs | np.isin(data.part, (LATER, OTHER)))
-    measured = np.where(scored, data.measured, np.nan)
-    return HeldOutRun(data.sampled(data["time_s"]), measured, before, after, held_out)
-
-
-def stretch(d: Diagnosis, run: HeldOutRun) -> slice:
-    """Return the held-out stretch of a few surge cycles in which the model before is worst.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    run : HeldOutRun
-        From :func:`held_out_run`.
-    """
-    data = d.data
-    length = _rows_shown(data)
-    squares = np.where(run.held_out, (run.measured - run.before) ** 2, 0.0)
-    best, chosen = -1.0, data.slices[-1]
-    for rows in data.slices:
-        held = np.flatnonzero(run.held_out[rows])
-        if not held.size:
-            continue
-        first, stop = rows.start + int(held[0]), rows.stop
-        width = min(length, stop - first)
-        sums = np.concatenate([[0.0], np.cumsum(squares[first:stop])])
-        moving = sums[width:] - sums[:-width]
-        at = int(np.argmax(moving))
-        if moving[at] > best:
-            best, chosen = float(moving[at]), slice(first + at, first + at + width)
-    return chosen
 
 
 def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
@@ -221,42 +113,26 @@ def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
     return tuple(curve for state in states for curve in _sweep(fit, data, *state))
 
 
-def contributions(d: Diagnosis) -> tuple[Contribution, ...]:
-    """Return what each effect adds to the free run of the model after.
+def contributions(d: LagDiagnosis) -> dict[str, float]:
+    """Return the rms of what each effect adds to the free run of the model after.
+
+    It is the free run with everything, less the same with this effect's amplitude at zero, over
+    the scored rows that no longer show how a run was started.
 
     Parameters
     ----------
-    d : Diagnosis
+    d : LagDiagnosis
         The diagnosis; empty where nothing was added, and on whole runs without what only other
         rows than the scored ones show.
     """
     fit = d.after
     data = _with_state_of(fit, d.data)
     full, shown = fit.output(data), _settled(fit, data)
-    out = []
+    out = {}
     for effect in fit.structure.effects:
         value = full - without_amplitude(fit, effect, data).output(data)
-        rms = float(np.sqrt(np.mean(value[shown] ** 2)))
-        out.append(Contribution(effect.name, np.where(shown, value, np.nan), rms))
-    return tuple(out)
-
-
-def tau_before_stderr_s(d: Diagnosis) -> float:
-    """Return the standard error of τ of the model before, in seconds; it knows no bias.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
-    return fitted_parameters(d.before, d.rounds[0].bench)["tau"][0].stderr
-
-
-def _held_out_errors(d: Diagnosis, fit: Fit) -> FloatArray:
-    if not d.whole_runs:
-        return errors_on(fit, d.data, Metric())[0]
-    bench = d.rounds[-1].bench
-    return cycles_left_out(fit, replace(bench, data=d.data)) * bench.metric.sigma
+        out[effect.name] = float(np.sqrt(np.mean(value[shown] ** 2)))
+    return out
 
 
 def _with_state_of(fit: Fit, data: LagData) -> LagData:
@@ -272,16 +148,6 @@ def _settled(fit: Fit, data: LagData) -> NDArray[np.bool_]:
         first = min(lead, (rows.stop - rows.start) // 3)
         shown[rows.start : rows.start + first] = False
     return shown
-
-
-def _rows_shown(data: LagData) -> int:
-    longest = max(data.fine_runs, key=lambda run: run[1] - run[0])
-    phi = data["phi"][longest[0] : longest[1] : data.every]
-    surge_hz = surge_frequency_hz(phi, 1.0 / data.sample_period_s)
-    if surge_hz <= 0.0:
-        return MOST_SHOWN
-    rows = CYCLES_SHOWN / (surge_hz * data.sample_period_s)
-    return int(min(max(rows, FEWEST_SHOWN), MOST_SHOWN))
 
 
 def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:

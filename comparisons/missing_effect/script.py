@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
@@ -93,9 +91,9 @@ def contents_of(
 
         out.append(("numbers", json, to_strict_json(_document(diagnoses))))
     if report:
-        from comparisons.missing_effect.systems.report import system_report
+        from comparisons.missing_effect.report import diagnosis_report
 
-        out.append(("report", report, system_report(diagnoses, command)))
+        out.append(("report", report, diagnosis_report(diagnoses, command)))
     return out
 
 
@@ -111,7 +109,7 @@ def _run(
     argv: Sequence[str] | None,
 ) -> None:
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
-    from comparisons.missing_effect.systems.terminal import system_text
+    from comparisons.missing_effect.terminal import diagnosis_text
     from surge_core.files import check_apart, check_target, write_whole
 
     if not cases:
@@ -136,32 +134,22 @@ def _run(
         write_whole(path, content)
     several = len(found) > 1
     texts = [
-        f"{name}\n\n{system_text(d)}" if several else system_text(d) for name, d in found.items()
+        f"{name}\n\n{diagnosis_text(d)}" if several else diagnosis_text(d)
+        for name, d in found.items()
     ]
     lines = [*texts, *(f"{label}: {path}" for label, path, _ in contents)]
     sys.stdout.write("\n\n".join(lines) + "\n")
 
 
 def _document(diagnoses: Mapping[str, SystemDiagnosis]) -> dict[str, Any]:
-    from comparisons.missing_effect.systems.document import merged_test_rmse, system_document
+    from comparisons.missing_effect.document import diagnosis_document, merged_test_rmse
 
-    documents = {name: system_document(d, _where(d)) for name, d in diagnoses.items()}
+    documents = {name: diagnosis_document(d) for name, d in diagnoses.items()}
     first = dict(next(iter(documents.values())))
     if len(documents) > 1:
         first["test_rmse"] = merged_test_rmse(diagnoses)
         first["diagnoses"] = documents
     return first
-
-
-def _where(d: SystemDiagnosis) -> dict[str, Any] | None:
-    """Return where the most telling run and the model part; None where it was not simulated."""
-    from comparisons.missing_effect.systems.shown import telling_run
-    from comparisons.missing_effect.systems.where import where_of
-
-    run = telling_run(d)
-    if not (np.all(np.isfinite(run.before)) and np.all(np.isfinite(run.after))):
-        return None
-    return where_of(run, d.missing, model=d.model).to_json()
 
 
 def _parser(most_effects: int) -> argparse.ArgumentParser:
@@ -173,21 +161,10 @@ def _parser(most_effects: int) -> argparse.ArgumentParser:
     add("--report", type=Path, metavar="FILE.html", help="write the report")
     add(
         "--max-effects",
-        type=_effects,
+        type=int,
+        choices=range(1, MOST_EFFECTS_ASKED + 1),
         default=most_effects,
         metavar="N",
         help=f"add at most so many effects (default: {most_effects})",
     )
     return parser
-
-
-def _effects(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if not 1 <= value <= MOST_EFFECTS_ASKED:
-        raise argparse.ArgumentTypeError(
-            f"expected a whole number from 1 to {MOST_EFFECTS_ASKED}: '{text}'"
-        )
-    return value

@@ -1,0 +1,313 @@
+"""The picture of a diagnosis: where, who, before and after."""
+
+from __future__ import annotations
+
+import math
+from itertools import cycle
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.missing_effect.lag_curves import steady_curves
+from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
+from comparisons.missing_effect.quantities import numbers_of, open_words, plain_name, tau_ms
+from comparisons.missing_effect.scales import scale_of, typical
+from comparisons.missing_effect.telling import telling_run, telling_stretch
+from comparisons.missing_effect.where_panels import draw_over_signal, draw_spectrum
+from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.page.style import (
+    ACCENT,
+    FAINT,
+    INK,
+    MARK,
+    MEASURED,
+    QUIET,
+    dress,
+    legend,
+    new_figure,
+    printable,
+    robust_limits,
+)
+from surge_core.rounding import significant
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from comparisons.missing_effect.results import CandidateRow, Diagnosis
+    from comparisons.missing_effect.runs import CheckRun
+    from comparisons.missing_effect.where import Where
+    from surge_core.types import FloatArray
+
+__all__ = ["draw_diagnosis", "draw_errors"]
+
+BEFORE, AFTER, PALE = MARK, ACCENT, "#d3e5f1"
+DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
+SMALL, TINY = 8.5, 7.5
+# Panels beside each other; candidates of a round; runs in the chart of errors (tables hold all).
+COLUMNS, CANDIDATES_SHOWN, MOST_RUNS = 3, 8, 16
+LONGEST_LABEL, LONGEST_NAME, LONGEST_LINE = 44, 30, 130
+# A heading longer than this is set smaller.
+HEADING_LETTERS, HEADING_SIZE = 72, 14.0
+# Errors further apart than this are drawn on a logarithmic axis.
+LOGARITHMIC_RATIO = 8.0
+LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
+_HEADINGS = {
+    "nothing_missing": "Nothing missing",
+    "noise_model_wrong": "Nothing missing; the noise is not white and normal",
+    "unexplained_structure": "Something is left that has no name",
+}
+
+
+def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
+    """Draw a diagnosis in one picture.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        Of a lag or of a user's model.
+    wheres : tuple of Where
+        Where its residuals stand out.
+
+    Returns
+    -------
+    Figure
+        On top each output, measured and simulated, and its residuals on a telling stretch; below,
+        the spectrum of the residuals and their mean over a signal, of the output that is missed
+        most; then the candidates by score, and the characteristic of a lag before and after, or
+        the rms errors of that output on every record. Last, the loss in reversed flow where there
+        is one.
+    """
+    lines = [shorten(printable(text, 400), LONGEST_LINE, placeholder=" …") for text in _lines(d)]
+    heading = printable(_heading(d), 400)
+    reverse = d.reverse_loss if isinstance(d, LagDiagnosis) else None
+    figure = new_figure(height_in=(10.6 if reverse is None else 13.2) + 0.2 * len(lines))
+    size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
+    look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
+    figure.suptitle(heading, fontsize=size, fontweight="bold", **look)
+    ratios = [0.02 + 0.1 * len(lines), 1.15, 0.8, 1.15, 1.35]
+    ratios += [] if reverse is None else [1.2]
+    grid = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
+    said = figure.add_subplot(grid[0])
+    said.set_axis_off()
+    said.text(0.0, 0.0, "\n".join(lines), fontsize=9, color=INK, va="bottom")
+    run = telling_run(d)
+    rows, n = telling_stretch(run), min(len(run.outputs), COLUMNS)
+    tops, lows = (grid[i].subgridspec(1, n) for i in (1, 2))
+    for j in range(n):
+        upper = dress(figure.add_subplot(tops[j]))
+        lower = dress(figure.add_subplot(lows[j], sharex=upper))
+        _run_panels(upper, lower, d, run, rows, j)
+        if j == 0:
+            lower.set_xlabel(f"time [s], {printable(run.title, LONGEST_NAME)}", fontsize=9)
+            legend(upper, loc="upper right", fontsize=TINY, ncols=3)
+    if wheres:
+        middle = grid[3].subgridspec(1, 2, width_ratios=[1.1, 1.0])
+        left, right = (dress(figure.add_subplot(middle[i])) for i in range(2))
+        draw_spectrum(left, wheres[0], two=bool(d.missing))
+        legend(left, loc="best", fontsize=TINY, handlelength=2.2)
+        draw_over_signal(right, wheres[0], two=bool(d.missing))
+    bottom = grid[4].subgridspec(1, 2)
+    _candidates(figure.add_subplot(bottom[0]), d)
+    last = dress(figure.add_subplot(bottom[1]))
+    if isinstance(d, LagDiagnosis):
+        _curves(last, d)
+    else:
+        draw_errors(last, d, wheres[0].of.output if wheres else next(iter(d.outputs)))
+    if reverse is not None:
+        _reverse(dress(figure.add_subplot(grid[5])), reverse)
+    return figure
+
+
+def draw_errors(ax: Axes, d: Diagnosis, output: str) -> None:
+    """Draw the rms error of one output in every run: before and after, joined by a bar.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to.
+    d : Diagnosis
+        The diagnosis.
+    output : str
+        Name of the output; dashed, its noise.
+    """
+    runs, j = d.runs[:MOST_RUNS], list(d.outputs).index(output)
+    before, after = (np.array([r[j] for r in sizes]) for sizes in _sizes(runs))
+    scale = scale_of(d.outputs[output], [typical([*before, *after])])
+    before, after = scale.factor * before, scale.factor * after
+    place = np.arange(len(runs))
+    if d.missing:
+        ax.hlines(place, np.minimum(before, after), np.maximum(before, after), color=FAINT, lw=3.0)
+        ax.plot(before, place, "o", color=BEFORE, ms=6.5, label="before", zorder=3)
+    last = "after" if d.missing else "simulated"
+    ax.plot(after, place, "o", color=AFTER, ms=6.5, label=last, zorder=3)
+    for level in d.floor[j : j + 1]:
+        style: dict[str, Any] = {"color": INK, "lw": 0.9, "ls": (0, (5, 2)), "label": "noise"}
+        ax.axvline(scale.factor * level, **style)
+    known = [size for size in (*before, *after) if size > 0.0]
+    if known and max(known) > LOGARITHMIC_RATIO * min(known):
+        ax.set_xscale("log")
+    ax.set_yticks(place, [printable(run.title, LONGEST_NAME) for run in runs], fontsize=SMALL)
+    ax.set_ylim(len(runs) - 0.4, -0.6)
+    ax.grid(False, axis="y")
+    ax.set_xlabel(f"rms error {printable(scale.bracketed)}", fontsize=9)
+    ax.set_title(f"{printable(output, LONGEST_NAME)}: errors of every record", **LEFT)
+    legend(ax, loc="best", fontsize=TINY)
+
+
+def _sizes(runs: tuple[CheckRun, ...]) -> tuple[list[FloatArray], list[FloatArray]]:
+    return [run.before_rms for run in runs], [run.after_rms for run in runs]
+
+
+def _heading(d: Diagnosis) -> str:
+    """Return the verdict in a line."""
+    if not d.missing:
+        return _HEADINGS[d.verdict]
+    lead = {"unnamed_term": "Missing, without a name", "provisional": "Missing, provisional name"}
+    names = []
+    for item in d.missing:
+        more = len(item.alias_set) - 2
+        several = " or ".join(map(plain_name, item.alias_set[:2])) + f" or {more} more" * (more > 0)
+        names.append(item.label if item.unnamed else several)
+    return f"{lead.get(d.verdict, 'Missing')}: {' and '.join(names)}"
+
+
+def _lines(d: Diagnosis) -> list[str]:
+    """Return what stands below the heading: each effect's equation and numbers, τ, the gap."""
+    out = [
+        f"{item.label}: {item.equation};  {numbers_of(item.effect, item.parameters)}"
+        for item in d.missing
+    ]
+    closed = d.missing and d.gap.shrink
+    last = [f"{100.0 * min(d.gap.shrink, 1.0):.1f} % of the gap closed"] if closed else []
+    if isinstance(d, LagDiagnosis):
+        if d.reverse_loss is not None:
+            share = f"{100.0 * d.reverse_loss.share:.0f} %"
+            last.append(f"the loss explains {share} of what is left in reversed flow (last panel)")
+        fell = f"{tau_ms(d.tau_before_s)} → " if d.missing else ""
+        last.insert(0, f"τ {fell}{tau_ms(d.tau_after_s, d.tau_stderr_s)}")
+    return [*out, ";  ".join(last)] if last else out
+
+
+def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: slice, j: int) -> None:
+    """Draw an output and its residuals on a stretch."""
+    time_s = run.time_s[rows]
+    # Where the clock jumps, another segment begins.
+    jump = np.diff(time_s, prepend=time_s[0]) > 1.5 * run.period_s
+    all_values = (run.measured, run.before, run.after)
+    measured, before, after = (np.where(jump, np.nan, v[rows, j]) for v in all_values)
+    name, unit = list(run.outputs.items())[j]
+    # From reading to reading, also where they are not in every row; rows that are not scored part.
+    there = np.isfinite(measured) | ~np.isfinite(after)
+    read_s, measured = time_s[there], measured[there]
+    scale = scale_of(unit, [_largest(measured)])
+    models = [(after, AFTER, "simulated", "-")]
+    if d.missing:
+        models = [(before, BEFORE, "before", "-"), (after, AFTER, "after", (0, (4, 1.2)))]  # type: ignore[list-item]
+    upper.plot(
+        read_s, scale.factor * measured, color=MEASURED, lw=3.0, alpha=0.75, label="measured"
+    )
+    for values, colour, label, dashes in models:
+        upper.plot(time_s, scale.factor * values, color=colour, lw=1.2, label=label, ls=dashes)
+    upper.set_ylim(*robust_limits(scale.factor * measured, scale.factor * after, margin=0.2))
+    upper.tick_params(labelbottom=False)
+    upper.set_ylabel(printable(scale.bracketed), fontsize=9)
+    errors = [measured - values[there] for values, *_ in models]
+    own = scale_of(unit, map(_largest, errors))
+    if j < len(d.floor) and d.floor[j] > 0.0:
+        for side in (-2.0, 2.0):
+            lower.axhline(side * own.factor * d.floor[j], color=QUIET, lw=0.7, ls=(0, (5, 2)))
+    lower.axhline(0.0, color=INK, lw=0.7)
+    for values, (_, colour, *_) in zip(errors, models, strict=True):
+        lower.plot(read_s, own.factor * values, color=colour, lw=1.0)
+    lower.set_ylim(*robust_limits(*(own.factor * v for v in errors), margin=0.1))
+    lower.set_ylabel(printable(f"residual {own.bracketed}"), fontsize=9)
+    lower.set_xlim(float(time_s[0]), float(time_s[-1]))
+    sizes = [float(run.before_rms[j]), float(run.after_rms[j])]
+    fall = scale_of(unit, [typical(sizes)])
+    first = f"{significant(sizes[0] * fall.factor, 3)} → " if d.missing else ""
+    shown = printable(f"{SYMBOLS.get(name, name)}: rms {first}{fall.text(sizes[1])}", 44)
+    upper.set_title(shown, **LEFT)
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+
+
+def _candidates(ax: Axes, d: Diagnosis) -> None:
+    """Draw bars of the scores of the round that found first, the names beside them."""
+    rows = _rows_drawn(d)
+    by_share = any(math.isfinite(row.share) for row in rows)
+    if not rows:
+        ax.set_axis_off()
+        ax.text(0.0, 0.6, "no effect promised enough\nto be worth a fit", fontsize=SMALL)
+        return
+    what = "squared errors explained [%]" if by_share else "score [log-units]"
+    dress(ax)
+    ax.set_title(f"who, in round {rows[0].round}: {what}", **LEFT)
+    sizes = [100.0 * row.share if by_share else row.score for row in rows]
+    largest = max(*sizes, 1.0)
+    for place, (row, size) in enumerate(zip(rows, sizes, strict=True)):
+        ax.barh(place + 0.2, max(size, 0.004 * largest), height=0.36, **_look(row))
+        weight = "bold" if row.chosen else "normal"
+        word = {"alias": " (alias)", "refused": " (refused)"}.get(row.fate, "")
+        text = printable(_name(row), LONGEST_LABEL) + word
+        ax.text(0.0, place - 0.02, text, va="bottom", fontsize=SMALL, fontweight=weight)
+        tau = f", τ {1e3 * row.time_constant_s:.4g} ms" if row.time_constant_s > 0.0 else ""
+        number = f"{significant(size, 3) if abs(size) < 100.0 else f'{size:.0f}'}{tau}"
+        beside = max(size, 0.0) + 0.02 * largest
+        ax.text(beside, place + 0.2, number, va="center", fontsize=TINY, color=QUIET)
+    ax.set_xlim(0.0, 1.5 * largest)
+    ax.set_ylim(max(len(rows), 4) - 0.45, -0.55)
+    ax.set_yticks([])
+    ax.grid(False)
+
+
+def _name(row: CandidateRow) -> str:
+    return open_words(row.name) if "port" in row.place else row.label
+
+
+def _rows_drawn(d: Diagnosis) -> list[CandidateRow]:
+    """Return the best candidates of the round that found first, the alias set among them."""
+    first = next((row.round for row in d.candidates if row.chosen), 1)
+    own = [row for row in d.candidates if row.round == first and row.fitted]
+    own = [row for row in own if math.isfinite(row.share) or math.isfinite(row.score)]
+    kept = [row for row in own if row.chosen or row.alias]
+    kept += [row for row in own if row not in kept]
+    return sorted(kept[:CANDIDATES_SHOWN], key=own.index)
+
+
+def _look(row: CandidateRow) -> dict[str, Any]:
+    face = {"added": AFTER, "alias": PALE, "accepted": FAINT}.get(row.fate, "white")
+    edge = AFTER if row.fate in ("added", "alias", "too little") else QUIET
+    hatch = "////" if row.fate == "alias" else None
+    return {"facecolor": face, "edgecolor": edge, "linewidth": 0.8, "hatch": hatch}
+
+
+def _curves(ax: Axes, d: LagDiagnosis) -> None:
+    """Draw the characteristic as a slow sweep would, two branches where there is hysteresis."""
+    old = steady_curves(d.before, d.data)
+    new = steady_curves(d.after, d.data) if d.missing else ()
+    models = [(old, BEFORE, "before"), (new, AFTER, "after")] if new else [(old, AFTER, "model")]
+    for curves, colour, word in models:
+        for curve, dashes in zip(curves, cycle(DASHES), strict=False):
+            label = ", ".join(filter(None, (word, curve.label)))
+            ax.plot(curve.phi, curve.value, color=colour, lw=1.7, ls=dashes, label=label)
+    ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
+    ax.set_title(r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", **LEFT)
+    legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
+
+
+def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
+    """Draw what the model leaves in reversed flow over φ², with the loss that explains it."""
+    order = reverse.squared.argsort()
+    squared, left = reverse.squared[order], reverse.left[order]
+    ax.plot(squared, left, ".", ms=3, color=MEASURED, label="measured minus simulated")
+    words = f"loss c φ², c = {significant(reverse.size, 3)}"
+    ax.plot(squared, reverse.size * squared, color=AFTER, lw=1.8, label=printable(words))
+    ax.axhline(0.0, color=INK, lw=0.7)
+    ax.set_xlabel(r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]", fontsize=9)
+    ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
+    ax.set_title("reverse_flow_branch, where it acts", **LEFT)
+    legend(ax, loc="upper left", fontsize=TINY)
