@@ -21,16 +21,7 @@ def write_tables(
     tables: Mapping[str, Mapping[str, Any]],
     rate_hz: float,
 ) -> None:
-    """Write columns over time and tables into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        A folder that does not exist yet, or an empty one.
-    columns, tables : mapping of str to mapping
-        By the file's place in the folder.
-    rate_hz : float
-        Samples a second of the columns.
+    """Write columns over time and tables, by their place in a folder that is new or empty.
 
     Raises
     ------

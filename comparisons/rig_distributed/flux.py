@@ -121,7 +121,8 @@ def fill_fluxes(
     n = prim.shape[1]
     flux[0, 0], flux[1, 0], flux[2, 0] = _mouth(c, prim[0, 0], prim[1, 0], prim[2, 0])
     rho, u, p = prim[0, n - 1], prim[1, n - 1], prim[2, n - 1]
-    flux[0, n], flux[1, n], flux[2, n] = _throttle(c, throttle_m2, areas_m2[n], rho, u, p)
+    end_m2 = float(areas_m2[n])
+    flux[0, n], flux[1, n], flux[2, n] = _throttle(c, throttle_m2, end_m2, rho, u, p)
     s = np.empty((2, 3))
     for f in range(1, n):
         for k, row in enumerate((0, 3, 4)):

@@ -66,13 +66,7 @@ class Instruments:
 
 
 def draw_instruments(rng: np.random.Generator) -> Instruments:
-    """Draw the instruments of one record.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    """
+    """Draw the instruments of one record."""
     return Instruments(
         rate_hz=float(rng.choice([1_000.0, 1_000.0, 2_000.0])),
         bits=int(rng.choice([12, 14, 16])),
@@ -98,15 +92,7 @@ def _through(system: tuple[FloatArray, FloatArray], values: FloatArray) -> Float
 
 
 def transducer_pa(pressure_pa: FloatArray, fitted: Instruments) -> FloatArray:
-    """Return the pressure behind the tube: p̈ + 2ζω ṗ + ω² p = ω² p_gas.
-
-    Parameters
-    ----------
-    pressure_pa : ndarray of shape (n,)
-        At the hole, at `PLANT_HZ`.
-    fitted : Instruments
-        For the tube.
-    """
+    """Return the pressure behind the tube: p̈ + 2ζω ṗ + ω² p = ω² p_gas."""
     omega = 2.0 * np.pi * fitted.tube_hz
     system = np.array([omega**2]), np.array([1.0, 2.0 * fitted.tube_damping * omega, omega**2])
     return _through(system, pressure_pa)
@@ -115,17 +101,7 @@ def transducer_pa(pressure_pa: FloatArray, fitted: Instruments) -> FloatArray:
 def thermocouple(
     temperature_k: FloatArray, fitted: Instruments, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the readings of one thermocouple at the record's rate.
-
-    Parameters
-    ----------
-    temperature_k : ndarray of shape (n,)
-        Total temperature of the gas at `PLANT_HZ`.
-    fitted : Instruments
-        For lag, recovery and noise.
-    rng : numpy.random.Generator
-        Source of the noise.
-    """
+    """Return the readings of one thermocouple at the record's rate, from the gas at `PLANT_HZ`."""
     lag_s = fitted.junction_s * (1.0 + fitted.junction_error)
     junction = _through((np.array([1.0]), np.array([lag_s, 1.0])), temperature_k)
     samples = fitted.recovery_factor * junction[:: round(PLANT_HZ / fitted.rate_hz)]
@@ -133,17 +109,7 @@ def thermocouple(
 
 
 def codes(volts: FloatArray, fitted: Instruments, rng: np.random.Generator) -> FloatArray:
-    """Return the converter's codes at the record's rate: noise, anti-alias filter, steps, ends.
-
-    Parameters
-    ----------
-    volts : ndarray of shape (n,)
-        The amplifier's output without noise, at `PLANT_HZ`.
-    fitted : Instruments
-        For noise, filter and converter.
-    rng : numpy.random.Generator
-        Source of the noise.
-    """
+    """Return the converter's codes at the record's rate: noise, anti-alias filter, steps, ends."""
     noisy = volts + fitted.noise_frac * fitted.half_scale_v * rng.standard_normal(volts.size)
     corner = 2.0 * np.pi * fitted.filter_frac * fitted.rate_hz
     kept = _through(signal.bessel(4, corner, analog=True, norm="mag"), noisy)

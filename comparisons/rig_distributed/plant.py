@@ -76,7 +76,7 @@ class GasPath:
 
     @property
     def table(self) -> FloatArray:
-        """What the compiled loop takes: areas, volumes, half over the hydraulic diameter."""
+        """What the compiled loop takes: areas of the faces, volumes and friction of the cells."""
         n = self.areas_m2.size
         rows = np.zeros((3, n))
         rows[0] = self.areas_m2
@@ -86,15 +86,7 @@ class GasPath:
 
 
 def lay_out(machine: Machine, cell_m: float = CELL_M) -> GasPath:
-    """Divide the gas path into cells of one length.
-
-    Parameters
-    ----------
-    machine : Machine
-        Lengths and areas.
-    cell_m : float
-        Length of a cell; the lengths are rounded to it.
-    """
+    """Divide the gas path into cells of one length in m, to which all lengths are rounded."""
     inlet, compressor, cone, plenum = (
         max(2, round(length / cell_m))
         for length in (machine.inlet_m, machine.compressor_m, machine.cone_m, machine.plenum_m)
@@ -128,18 +120,10 @@ def _static(flow: FloatArray, total_pa: FloatArray, total_k: FloatArray) -> Floa
 
 
 def steady_flow(machine: Machine, path: GasPath) -> tuple[FloatArray, FloatArray, float, float]:
-    """Return the first steady flow, but for the friction of the walls.
+    """Return the first steady flow, but for the friction behind the compressor.
 
-    Returns
-    -------
-    cells : ndarray of shape (3, n)
-        ρ, ρu, ρE.
-    own : ndarray of shape (4,)
-        ψ', ψ, amplitude of the cell, opening of the throttle.
-    throttle_m2 : float
-        Area of the throttle that passes it.
-    exit_k : float
-        Total temperature behind the compressor.
+    ρ, ρu, ρE of the cells (3, n); ψ', ψ, amplitude of the stall cell and opening of the throttle;
+    the area of the throttle that passes the flow; total temperature behind the compressor.
     """
     phi = machine.start_phi * machine.peak_phi
     psi_p = float(steady_psi_p(machine, np.array(phi)))

@@ -37,13 +37,7 @@ _TABLE = np.linspace(0.0, 1.0, 20_001)
 
 
 def mach_of_velocity(velocity_m_s: FloatArray, total_k: FloatArray) -> FloatArray:
-    """Return the signed Mach number of an axial velocity at a total temperature.
-
-    Parameters
-    ----------
-    velocity_m_s, total_k : ndarray of shape (n,)
-        Velocity and total temperature.
-    """
+    """Return the signed Mach number of an axial velocity at a total temperature."""
     static_k = total_k - velocity_m_s**2 / (2.0 * CP)
     return np.asarray(velocity_m_s / np.sqrt(GAMMA * R * static_k))
 
@@ -51,17 +45,7 @@ def mach_of_velocity(velocity_m_s: FloatArray, total_k: FloatArray) -> FloatArra
 def local_flow(
     machine: Machine, run: PlantRun, plane: int, rake: str, immersion: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Mach number and total pressure in Pa at one pair of probes, at `PLANT_HZ`.
-
-    Parameters
-    ----------
-    machine, run : Machine, PlantRun
-        The machine and what it did.
-    plane : int
-        25 or 31.
-    rake, immersion : str
-        ``"A"`` or ``"B"``; ``"hub"`` or ``"tip"``.
-    """
+    """Return Mach number and total pressure in Pa at one pair of probes, at `PLANT_HZ`."""
     total_pa, total_k = run[f"P{plane}"], run[f"T{plane}"]
     share = 1.0 if plane == 25 else EXIT_SHARE
     time_s = np.arange(total_pa.size) / PLANT_HZ
@@ -76,15 +60,7 @@ def local_flow(
 
 
 def hub_tip_shift(machine: Machine, phi: FloatArray) -> FloatArray:
-    """Return the shift D of φ between the mean and hub or tip.
-
-    Parameters
-    ----------
-    machine : Machine
-        For its size and the peak of the characteristic.
-    phi : ndarray of shape (n,)
-        Mean flow coefficient at plane 25.
-    """
+    """Return the shift D of φ between the mean and hub or tip, from φ at plane 25."""
     below = np.maximum(machine.peak_phi - phi, 0.0) / machine.span
     return np.asarray(machine.hub_tip * (1.0 - np.exp(-2.0 * below)))
 
@@ -92,15 +68,7 @@ def hub_tip_shift(machine: Machine, phi: FloatArray) -> FloatArray:
 def hole_pressures_pa(
     mach: FloatArray, total_pa: FloatArray, *, slope: float, offset: float, knee: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pressures in Pa of the forward and the aft hole of a pair.
-
-    Parameters
-    ----------
-    mach, total_pa : ndarray of shape (n,)
-        Mach number, negative in reversed flow, and total pressure.
-    slope, offset, knee : float
-        a, b and m_0 of the law.
-    """
+    """Return the pressures in Pa of the forward and the aft hole of a pair; a, b, m_0 the law's."""
     law = slope * _TABLE + offset * np.tanh(_TABLE / knee)
     calculated = np.interp(np.abs(mach), law, _TABLE)
     exponent = GAMMA / (GAMMA - 1.0)

@@ -53,17 +53,7 @@ class Channels:
 def read_rakes(
     machine: Machine, run: PlantRun, fitted: Instruments, rng: np.random.Generator
 ) -> Channels:
-    """Read two rakes at each plane, with a pair of probes at hub and tip and a thermocouple.
-
-    Parameters
-    ----------
-    machine, run : Machine, PlantRun
-        The machine and what it did.
-    fitted : Instruments
-        The instruments.
-    rng : numpy.random.Generator
-        Source of scatter and noise.
-    """
+    """Read two rakes at each plane, with a pair of probes at hub and tip and a thermocouple."""
     out = Channels()
     for plane in (25, 31):
         pairs = {}
@@ -133,17 +123,7 @@ def _read_pressure(
 def near_stall_reading(
     run: PlantRun, fitted: Instruments, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Return the facility's reading of the steady flow before the surge.
-
-    Parameters
-    ----------
-    run : PlantRun
-        What the machine did.
-    fitted : Instruments
-        For the facility's errors.
-    rng : numpy.random.Generator
-        Source of the errors.
-    """
+    """Return the facility's reading of the steady flow before the surge."""
     rows = slice(0, round(NEAR_STALL_S * PLANT_HZ) + 1)
     reading = {"from_s": 0.0, "to_s": NEAR_STALL_S}
     for plane in (25, 31):

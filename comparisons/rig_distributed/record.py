@@ -15,7 +15,6 @@ from comparisons.rig_distributed.gas import GAMMA, R
 from comparisons.rig_distributed.instruments import Instruments, draw_instruments
 from comparisons.rig_distributed.machine import Machine, draw
 from comparisons.rig_distributed.plant import PLANT_HZ, PlantRun, lay_out, run_plant
-from comparisons.rig_distributed.probes import hub_tip_shift
 from comparisons.rig_distributed.rakes import NEAR_STALL_S, Channels, near_stall_reading, read_rakes
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -175,8 +174,6 @@ def _with_plane_flows(machine: Machine, run: PlantRun) -> PlantRun:
 def _truth(machine: Machine, run: PlantRun, fitted: Instruments) -> dict[str, FloatArray]:
     """Return the plant's signals at the record's rate, named as in the files of the format."""
     corrected = run["W25"] * np.sqrt(run["T25"] / _STANDARD_K) * _STANDARD_PA / run["P25"]
-    per_phi = np.divide(corrected, run["phi"], out=np.zeros_like(corrected), where=run["phi"] != 0)
-    shift = per_phi * hub_tip_shift(machine, run["phi"])
     speed = machine.design_speed_ratio * np.sqrt(machine.supply_k / run["T25"])
     columns = {
         "phi": run["phi"],
@@ -189,8 +186,6 @@ def _truth(machine: Machine, run: PlantRun, fitted: Instruments) -> dict[str, Fl
         "dW25_kg_s2": np.gradient(run["W25"], 1.0 / PLANT_HZ),
         "W31_kg_s": run["W31"],
         "Wc25_kg_s": corrected,
-        "Wc25_hub_kg_s": corrected + shift,
-        "Wc25_tip_kg_s": corrected - shift,
         "P25_Pa": run["P25"],
         "P31_Pa": run["P31"],
         "T25_K": run["T25"],

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -142,10 +143,17 @@ def test_what_a_rig_lacks_is_refused_in_one_sentence(
 
 def test_the_command_writes_the_files_of_the_format(tmp_path: Path) -> None:
     folder = tmp_path / "record"
-    told = ["simulate", "--rig", "distributed", "--duration", "0.2", "-o", str(folder)]
-    assert main(told) == 0
+    options = ["simulate", "--rig", "distributed", "--duration", "0.2", "-o", str(folder)]
+    assert main(options) == 0
     raw, test = read_raw(folder / "raw.csv", folder / "test.toml")
     assert raw.n_samples == 201
     assert len(test.channels) == 20
     about = tomllib.loads((folder / "truth" / "truth.toml").read_text("utf-8"))
     assert len(about["quasi_steady"]["phi"]) == len(about["quasi_steady"]["psi_p"])
+
+
+def test_the_entry_point_names_what_draws_a_record() -> None:
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
+    place = project["project"]["entry-points"]["sindy_surge.rigs"]["distributed"]
+    module, _, name = place.partition(":")
+    assert getattr(importlib.import_module(module), name) is draw_record
