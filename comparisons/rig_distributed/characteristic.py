@@ -10,7 +10,7 @@ J = (A/W)², the pressure coefficient that the blading tends to is
 
     ψ'_QS(Φ, J) = ψ'_0 + H [1 + 3/2 y (1 − κ J/2) − 1/2 y³],
 
-and one Galerkin mode gives the amplitude (their Eq 61, with a small steady distortion ε besides):
+and one Galerkin mode gives the amplitude (theirs, with a small steady distortion ε besides):
 
     dA/dt = g/2 [A (1 − y² − J/4) + ε W],  g = (U/r) 3 a H/2 / ((1 + m a) W),
 
@@ -20,8 +20,8 @@ whose equilibrium in stall is J = 4 (1 − y²). The averaged blading follows wi
     τ dψ'/dt + ψ' = ψ'_QS(Φ, J).
 
 **The true τ is that of this lag.** The true in-stall characteristic is ψ'_QS with J at its
-equilibrium; that the amplitude takes 1/g, some milliseconds, to get there is physics on top, which
-the lag model does not have. In reversed flow the blading loses k Φ² besides, without a lag.
+equilibrium; that the amplitude takes 2/g, some milliseconds, to grow e times is physics on top,
+which the lag model does not have. In reversed flow the blading loses k Φ² besides, without a lag.
 """
 
 from __future__ import annotations

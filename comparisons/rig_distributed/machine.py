@@ -23,7 +23,8 @@ class Machine:
     level, rise, valley, span : float
         Characteristic: ψ'_0, H, φ_0, W.
     cell_share, blade_lag, outer_lag, distortion : float
-        Cell: share κ of the span, a, m, and the distortion ε that it grows from.
+        Cell: share κ of the span, a, m, and the distortion ε that it grows from. Moore and
+        Greitzer's example of three stages has a = 1/3.5 and m = 1.75; a falls with the stages.
     tau_s : float
         Lag of the blading.
     reverse_loss : float
@@ -63,7 +64,7 @@ class Machine:
     valley: float = 0.0
     span: float = 0.15
     cell_share: float = 0.12
-    blade_lag: float = 0.05
+    blade_lag: float = 0.15
     outer_lag: float = 1.75
     distortion: float = 0.02
     tau_s: float = 0.018
@@ -143,7 +144,7 @@ def draw(rng: np.random.Generator) -> Machine:
         valley=valley,
         span=span,
         cell_share=between(0.0, 0.25),
-        blade_lag=spread(0.03, 0.12),
+        blade_lag=spread(0.08, 0.30),
         outer_lag=between(1.5, 2.0),
         distortion=between(0.01, 0.03),
         tau_s=between(0.010, 0.030),
