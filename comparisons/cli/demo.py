@@ -146,7 +146,7 @@ def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> No
     for what, record in (("with it", hidden), ("without it", untouched)):
         demo.begin(f"looking for what is missing in the record {what}")
         d = diagnose([record])
-        parts = diagnosis_parts(d, where_of(d, d.before), where_of(d, d.after))
+        parts = diagnosis_parts(d, where_of(d))
         if record is hidden:
             picture = next(b for part in parts for b in part.blocks if isinstance(b, Picture))
             picture.figure.savefig(demo.folder / PICTURE, dpi=PICTURE_DPI)

@@ -106,19 +106,18 @@ def _compressor(given: argparse.Namespace) -> list[str]:
             progress=lambda twins: shown_over(twins, unit="twin", words="measuring twins"),
         )
         begin("looking where")
-        before, why = _where(d, d.before)
-        after, _ = _where(d, d.after) if d.missing else (before, "")
+        where, why = _where(d)
         remarks += [f"Where was not looked at: {why}."] if why else []
         more = _asked_beyond(given, d, begin)
         begin("writing")
         written = write_asked(
             given,
-            json=lambda: diagnosis_document(d, before, **more, base=base),
-            report=lambda: diagnosis_report(d, before, after, **more, command=command_line()),
+            json=lambda: diagnosis_document(d, where, **more, base=base),
+            report=lambda: diagnosis_report(d, where, **more, command=command_line()),
         )
         if given.save:
             written.append(f"model: {_saved(d, given.save)}")
-    return [diagnosis_text(d, before, **more), *remarks, *([""] if written else []), *written]
+    return [diagnosis_text(d, where, **more), *remarks, *([""] if written else []), *written]
 
 
 def _base(
@@ -159,12 +158,12 @@ def _asked_beyond(
     return {"limits": limits, "separation": separation}
 
 
-def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
+def _where(d: Diagnosis) -> tuple[Where | None, str]:
     """Return where a residual stands out, or why that is not known."""
     from comparisons.missing_effect.shown import where_of
 
     try:
-        return where_of(d, fit), ""
+        return where_of(d), ""
     except InputError as error:
         return None, str(error)
 

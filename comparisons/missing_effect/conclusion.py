@@ -7,15 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import SIZE, Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.results import CORRELATION, SIZE, Diagnosis, Gap, MissingEffect
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
+    covariance_of,
     fitted_parameters,
     on_all_rows,
     size_in_errors,
@@ -23,6 +26,9 @@ from comparisons.missing_effect.uncertainty import (
 from surge_core.types import FloatArray
 
 __all__ = ["concluded", "evidence_numbers"]
+
+# Standard errors below which an amplitude is not known, and its name not firm.
+LEAST_AMPLITUDE = 3.0
 
 AliasSets = Mapping[str, Sequence[Candidate]]
 
@@ -69,18 +75,24 @@ def concluded(
     after = on_all_rows(final.fit, final) if found else before
     values = fitted_parameters(after, final)
     sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
-    if verdict in ("named", "alias_set") and min(sizes.values(), default=np.inf) < LEAST_SIZE:
+    unsure = {
+        name for name, size in sizes.items() if size < LEAST_SIZE or _unknown(values[name][0])
+    }
+    if verdict in ("named", "alias_set") and unsure:
         verdict = "provisional"
+    covariance = covariance_of(after, with_own_state(data, after), final) if found else np.eye(0)
     missing = tuple(
         MissingEffect(
             effect.name,
             tuple(c.name for c in sets[effect.name]) or (effect.name,),
-            not effect.unnamed and (provisional or sizes[effect.name] < LEAST_SIZE),
+            not effect.unnamed and (provisional or effect.name in unsure),
             values[effect.name],
             {
                 **(evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {}),
                 **({SIZE: sizes[effect.name]} if effect.name in sizes else {}),
+                **_correlation(effect, after, covariance),
             },
+            _doubt(values[effect.name][0]) if sizes.get(effect.name, 0.0) >= LEAST_SIZE else (),
         )
         for effect in found
     )
@@ -109,6 +121,44 @@ def concluded(
         tuple(rounds),
         unavailable,
     )
+
+
+def _doubt(amplitude: FittedParameter) -> tuple[str, ...]:
+    if not _unknown(amplitude):
+        return ()
+    size = abs(amplitude.value) / amplitude.stderr
+    return (
+        f"{amplitude.name} is not distinguished from zero ({size:.1f} standard errors): "
+        "only what its numbers do together is known, which a simpler effect may do too",
+    )
+
+
+def _unknown(amplitude: FittedParameter) -> bool:
+    """Tell whether an effect's own amplitude is lost among its numbers.
+
+    What all of them do together may be large all the same: a heating whose time is far longer than
+    the records is a straight drift, and that is then not what its name says.
+    """
+    return abs(amplitude.value) < LEAST_AMPLITUDE * amplitude.stderr
+
+
+def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:
+    """Return the largest correlation of two free numbers of an effect, where it has two."""
+    first = 1
+    for other in fit.structure.effects:
+        if other.name == effect.name:
+            break
+        first += len(other.nonlinear)
+    own = range(first, first + len(effect.nonlinear))
+    at = [place for place, number in enumerate(fit.structure.free) if number in own]
+    if len(at) < 2:
+        return {}
+    part = covariance[np.ix_(at, at)]
+    scale = np.sqrt(np.maximum(np.diag(part), 0.0))
+    if not np.all(scale > 0.0):
+        return {}
+    apart = np.triu(part / np.outer(scale, scale), 1).ravel()
+    return {CORRELATION: float(apart[np.argmax(np.abs(apart))])}
 
 
 def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]:

@@ -44,7 +44,7 @@ def diagnosis_document(
     d : Diagnosis
         The diagnosis.
     where : Where or None
-        Of the model before; None where the records are too short to tell.
+        Of the models before and after; None where the records are too short to tell.
     limits, separation : object, optional
         With ``to_json()``: what would have been named, and what would tell an alias set apart.
     base : dict, optional

@@ -27,8 +27,8 @@ STEP = 1.4
 HALVINGS = 2
 MOST_STEPS = 12
 # Then the whole workflow, rivals and all, has to name it: the size grows by this until it does.
-GROWTH = 1.15
-MOST_GROWTHS = 8
+GROWTH = 1.2
+MOST_GROWTHS = 6
 # Where the check fails the limit is sought higher, so many times in all.
 ATTEMPTS = 3
 # Which noise is drawn: of the trials, and from here on of the checks.
@@ -49,7 +49,7 @@ def planted_limits(
     *,
     effects: Sequence[Effect | str] | None = None,
     share: float = 0.9,
-    trials: int = 10,
+    trials: int = 8,
     seed: int = 0,
     check: bool = True,
     jobs: int = 1,

@@ -17,10 +17,23 @@ from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import significant
 
-__all__ = ["SIZE", "Absent", "Diagnosis", "FittedParameter", "Gap", "MissingEffect", "Untold"]
+__all__ = [
+    "CORRELATION",
+    "MUCH_CORRELATED",
+    "SIZE",
+    "Absent",
+    "Diagnosis",
+    "FittedParameter",
+    "Gap",
+    "MissingEffect",
+    "Untold",
+]
 
 # Under this name the evidence holds how many standard errors large an effect is as a whole.
 SIZE = "size_in_errors"
+# And under this one the largest correlation of two numbers of the effect, from which on their
+# errors say little one by one.
+CORRELATION, MUCH_CORRELATED = "largest_correlation", 0.9
 
 
 @dataclass(frozen=True)

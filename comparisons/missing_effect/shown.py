@@ -18,7 +18,8 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.open_terms import with_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.uncertainty import fitted_parameters, without_amplitude
-from comparisons.missing_effect.where import ResidualRuns, Where, localise
+from comparisons.missing_effect.where import Residuals, Where
+from comparisons.missing_effect.where import where_of as where_of_residuals
 from comparisons.missing_effect.whole_runs import cycles_left_out
 from surge_core.types import FloatArray
 
@@ -28,7 +29,6 @@ __all__ = [
     "HeldOutRun",
     "contributions",
     "held_out_run",
-    "residual_runs",
     "steady_curves",
     "stretch",
     "tau_before_stderr_s",
@@ -105,48 +105,46 @@ class Contribution:
     rms: float
 
 
-def residual_runs(d: Diagnosis, fit: Fit) -> ResidualRuns:
-    """Return the residual of a fit to all rows with what it can be looked at over.
+def where_of(d: Diagnosis) -> Where:
+    """Return where the residuals of the fits to all rows stand out of the noise.
 
     Parameters
     ----------
     d : Diagnosis
-        Whose records.
-    fit : Fit
-        ``d.before`` or ``d.after``.
-    """
-    data = d.data
-    phi = data["phi_averaged"] if "phi_averaged" in data else data["phi"]
-    names = tuple(PurePath(source).name for source in data.sources)
-    return ResidualRuns(
-        fit.errors(_with_state_of(fit, data), Metric()),
-        data.sampled(phi),
-        data.sampled(data["time_s"]),
-        data.slices,
-        data.record.astype(np.int64),
-        data.scored(),
-        1.0 / data.sample_period_s,
-        names if len(set(names)) == len(names) else data.sources,
-    )
-
-
-def where_of(d: Diagnosis, fit: Fit) -> Where:
-    """Return where the residual of a fit to all rows stands out of the noise.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        Whose records and noise.
-    fit : Fit
-        ``d.before`` or ``d.after``.
+        The diagnosis.
 
     Raises
     ------
     InputError
         When the records are too short to look at.
     """
-    colour = np.array(d.noise.ar) if d.noise.coloured else None
-    return localise(residual_runs(d, fit), d.gap.floor_rms, whitening=colour)
+    data = d.data
+    phi = data["phi_averaged"] if "phi_averaged" in data else data["phi"]
+    names = tuple(PurePath(source).name for source in data.sources)
+    before, after = (
+        data.measured - fit.errors(_with_state_of(fit, data), Metric())
+        for fit in (d.before, d.after)
+    )
+    return where_of_residuals(
+        Residuals(
+            "psi_p",
+            "1",
+            data.sampled(data["time_s"]),
+            np.where(data.scored(), data.measured, np.nan),
+            before,
+            after,
+            data.sampled(phi),
+            "phi",
+            "1",
+            data.slices,
+            data.record.astype(np.int64),
+            names if len(set(names)) == len(names) else data.sources,
+            data.sample_period_s,
+            floor_rms=float(d.gap.floor_rms),
+            ar=np.array(d.noise.ar) if d.noise.coloured else np.zeros(0),
+            cycle_hz=1.0 / data.surge_s,
+        )
+    )
 
 
 def held_out_run(d: Diagnosis) -> HeldOutRun:

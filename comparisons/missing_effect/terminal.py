@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from comparisons.missing_effect.quantities import chance, model_equation, open_words
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows
+from comparisons.missing_effect.text import ROWS_PRINTED, aligned, wrapped
+from comparisons.missing_effect.where_words import describe
 from comparisons.missing_effect.words import (
     noise_words,
     opening_words,
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["candidate_cells", "candidate_heads", "candidate_table", "diagnosis_text", "legend_of"]
 
-WIDTH = 100
-# Of a long ranking the best are printed; --json holds all.
-ROWS_PRINTED = 8
 _NAME, _END = ("round", "candidate"), ("τ [ms]", "n", "fate")
 _CHANCE_HEADS = (*_NAME, "score", "fitted", "later", "other", "z", "p", *_END)
 _SHARE_HEADS = (*_NAME, "explains", "asked", "left out", "last", *_END)
@@ -101,10 +98,10 @@ def candidate_table(d: Diagnosis) -> str:
         kept = [row for i, row in enumerate(own) if i < ROWS_PRINTED or row.chosen or row.alias]
         more += len(own) - len(kept)
         lines += [candidate_cells(d, row) for row in kept]
-    text = _aligned(lines)
+    text = aligned(lines, _LEFT)
     if more:
         text += f"\nand {more} more (--json holds all)"
-    return "\n".join([text, *_wrapped(legend_of(d))])
+    return "\n".join([text, *wrapped(legend_of(d))])
 
 
 def legend_of(d: Diagnosis) -> str:
@@ -142,23 +139,23 @@ def diagnosis_text(
     d : Diagnosis
         The diagnosis.
     where : Where or None
-        Of the model before; None where the records are too short to tell.
+        Of the models before and after; None where the records are too short to tell.
     limits, separation : object, optional
         With ``lines``: what would have been named, and what would tell an alias set apart.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
-    lines = [*_wrapped(opening_words(d)), "", f"VERDICT: {d.verdict}", *_wrapped(words), ""]
-    lines += ["Model", *_wrapped(f"  before: {model_equation(d.before)}", "    ")]
+    lines = [*wrapped(opening_words(d)), "", f"VERDICT: {d.verdict}", *wrapped(words), ""]
+    lines += ["Model", *wrapped(f"  before: {model_equation(d.before)}", "    ")]
     if d.after.structure.effects:
-        lines += _wrapped(f"  after:  {model_equation(d.after)}", "    ")
-    lines += ["", "Where the model before and the measurement part"]
-    listed = where.words if where is not None else (TOO_SHORT,)
-    lines += [line for words in listed for line in _wrapped(f"  {words}", "    ")]
+        lines += wrapped(f"  after:  {model_equation(d.after)}", "    ")
+    lines += ["", "Where the model and the measurement part"]
+    listed = (TOO_SHORT,) if where is None else describe(where, two=bool(d.missing))
+    lines += [line for words in listed for line in wrapped(f"  {words}", "    ")]
     if d.verdict != "noise_model_wrong":
-        lines += ["", *_wrapped(noise_words(d))]
+        lines += ["", *wrapped(noise_words(d))]
     lines += ["", "Who was tried", candidate_table(d)]
     said = (*untold_words(d), *untried_words(d))
-    lines += [line for words in said for line in _wrapped(words)]
+    lines += [line for words in said for line in wrapped(words)]
     for heading, more in (("Limits", limits), ("What would tell them apart", separation)):
         if more is not None:
             lines += ["", heading, *(line for words in more.lines for line in _kept(words))]
@@ -180,21 +177,6 @@ def _fate(d: Diagnosis, row: CandidateRow) -> str:
     return f"refused: {', '.join(columns[on] for on in row.refused_on)}"
 
 
-def _aligned(lines: Sequence[tuple[str, ...]]) -> str:
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if head in _LEFT else cell.rjust(width)
-            for head, cell, width in zip(lines[0], line, widths, strict=True)
-        ).rstrip()
-        for line in lines
-    )
-
-
 def _kept(line: str) -> list[str]:
     """Wrap a line that may be indented, as one of a table is."""
-    return _wrapped(line, line[: len(line) - len(line.lstrip())] + "  ")
-
-
-def _wrapped(prose: str, later: str = "") -> list[str]:
-    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)
+    return wrapped(line, line[: len(line) - len(line.lstrip())] + "  ")

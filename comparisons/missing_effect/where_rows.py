@@ -3,86 +3,106 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from surge_core.types import BoolArray, FloatArray, IntArray
+import numpy as np
 
-__all__ = [
-    "PANELS",
-    "FlowRow",
-    "FrequencyRow",
-    "Line",
-    "PhaseRow",
-    "RegimeRow",
-    "ResidualRuns",
-    "TimeRow",
-    "Where",
-]
+from comparisons.missing_effect.where_spectrum import Line
+from surge_core.types import FloatArray, IntArray
 
-PANELS = ("time", "frequency", "flow", "phase", "regime")
+__all__ = ["PANELS", "WAYS", "BandRow", "Cell", "Residuals", "SignalRow", "TimeRow", "Where"]
+
+PANELS = ("time", "frequency", "flow")
+# Which way the signal goes.
+WAYS = ("any", "falling", "rising")
 
 
 @dataclass(frozen=True)
-class ResidualRuns:
-    """The residual of a free run with what it is looked at over.
+class Residuals:
+    """What is looked at: measured rows of one output, and the simulation before and after.
 
     Parameters
     ----------
-    residual : ndarray of shape (n,)
-        Measured minus simulated.
-    phi : ndarray of shape (n,)
-        Flow coefficient.
+    output, unit : str
+        Name of the output and its unit.
     time_s : ndarray of shape (n,)
-        Facility clock, in seconds.
+        Clock of each row, in seconds.
+    measured, before, after : ndarray of shape (n,)
+        The output, and the models without and with what was added; NaN where it is not scored.
+    over : ndarray of shape (n,)
+        The signal that the third panel is laid over.
+    signal, signal_unit : str
+        Its name and unit.
     runs : tuple of slice
-        Contiguous, uniformly sampled pieces in order; nothing is carried from one to the next.
+        Uniformly sampled pieces in order; nothing is carried from one to the next.
     record : ndarray of int, shape (n,)
         Number of the record of each row.
-    scored : ndarray of bool, shape (n,)
-        Rows whose residual counts; that of the others may be NaN.
-    sample_rate_hz : float
-        Samples a second.
     record_names : tuple of str
         Names of the records.
+    period_s : float
+        Sample period.
+    simulated : bool
+        Whether the signal is the output itself, simulated. Residuals are part of a measured
+        output: laid over that, noise alone gives a slope.
+    floor_rms : float
+        Measurement noise, where it is known.
+    ar : ndarray of shape (p,)
+        Its autoregression, e[k] = Σ aᵢ e[k−i] + white.
+    cycle_hz : float
+        Main frequency of the signal; 0 where it has none.
     """
 
-    residual: FloatArray
-    phi: FloatArray
+    output: str
+    unit: str
     time_s: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    over: FloatArray
+    signal: str
+    signal_unit: str
     runs: tuple[slice, ...]
     record: IntArray
-    scored: BoolArray
-    sample_rate_hz: float
     record_names: tuple[str, ...]
+    period_s: float
+    simulated: bool = False
+    floor_rms: float = math.nan
+    ar: FloatArray = field(default_factory=lambda: np.zeros(0))
+    cycle_hz: float = 0.0
 
 
 @dataclass(frozen=True)
 class TimeRow:
-    """The residual in one block of time.
+    """A block of time.
 
     Parameters
     ----------
     record : str
         Name of the record.
     from_s, to_s : float
-        Edges of the block on the facility clock, in seconds.
+        Clock at its ends, in seconds.
     n : int
         Scored rows.
-    mean, rms : float
-        Of the residual, in its own unit.
+    before_rms, after_rms : float
+        Of the residual, in the unit of the output.
+    mean : float
+        Of the residual before.
     excess : float
-        rms of what exceeds the floor, √(rms² − floor²), 0 below it.
+        √(rms² − floor²) before, 0 below the floor; NaN where no floor is known.
     z_mean, z_variance : float
-        Of the mean against zero and of the variance against the floor.
+        Of the mean before against zero and of the variance of its innovations against the
+        floor's; NaN where no floor is known.
     """
 
     record: str
     from_s: float
     to_s: float
     n: int
+    before_rms: float
+    after_rms: float
     mean: float
-    rms: float
     excess: float
     z_mean: float
     z_variance: float
@@ -90,87 +110,56 @@ class TimeRow:
     @property
     def z(self) -> float:
         """The larger of the two; a variance below the floor is no structure."""
-        return _larger(abs(self.z_mean), self.z_variance)
+        known = [z for z in (abs(self.z_mean), self.z_variance) if math.isfinite(z)]
+        return max(known, default=math.nan)
 
 
 @dataclass(frozen=True)
-class FrequencyRow:
-    """The residual's power in one band against the floor's.
+class BandRow:
+    """A band of frequencies.
 
     Parameters
     ----------
     low_hz, high_hz : float
-        Edges, in hertz.
-    ratio : float
-        Power over that of the floor.
-    ratio_bound : float
-        Ratio that chance reaches, all looks counted.
+        Edges.
+    before_psd, after_psd, measured_psd : float
+        Mean power density of the residuals and of the measured output, each less its mean, in
+        the squared unit of the output a hertz.
     share : float
-        Share of all power beyond the floor that lies in the band.
-    z : float
-        Of the ratio against 1.
+        Share of the power of the residual before that lies in the band.
+    ratio, ratio_bound, z : float
+        Power before over that of the floor, what of it chance reaches, and z; NaN where no floor
+        is known.
     lines : tuple of str
-        Lines in the band: "surge" (with harmonics), "stall cells".
+        ``"line"`` where one was found in the band.
     """
 
     low_hz: float
     high_hz: float
+    before_psd: float
+    after_psd: float
+    measured_psd: float
+    share: float
     ratio: float
     ratio_bound: float
-    share: float
     z: float
-    lines: tuple[str, ...]
+    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Line:
-    """A frequency worth a mark.
+class Cell:
+    """A mean over some rows.
 
     Parameters
     ----------
-    name : str
-        "surge" or "stall cells".
-    frequency_hz : float
-        In hertz.
-    source : str
-        "flow" (found in φ), "given", or "residual" (found there).
-    harmonic : int
-        1 is the fundamental.
-    z : float
-        How far the line stands out of the residual, where that was looked at; else NaN.
-    width_hz : float
-        Width over which it does; else NaN.
-    """
-
-    name: str
-    frequency_hz: float
-    source: str
-    harmonic: int = 1
-    z: float = math.nan
-    width_hz: float = math.nan
-
-
-@dataclass(frozen=True)
-class FlowRow:
-    """The residual in one octile of φ and one direction of travel.
-
-    Parameters
-    ----------
-    phi_from, phi_to : float
-        Edges of the octile.
-    direction : str
-        "falling" or "rising".
     mean, stderr : float
-        Mean residual without its slow part, and its standard error.
+        Mean and its standard error from the sums of blocks; NaN where there are too few.
     z : float
-        Of the mean against zero, outliers held back.
+        Of the mean against zero: that of a t of so many blocks.
     n : int
-        Scored rows.
+        Rows.
     """
 
-    phi_from: float
-    phi_to: float
-    direction: str
     mean: float
     stderr: float
     z: float
@@ -178,117 +167,69 @@ class FlowRow:
 
 
 @dataclass(frozen=True)
-class PhaseRow:
-    """The residual in one part of the surge cycle.
+class SignalRow:
+    """A range of the signal.
 
     Parameters
     ----------
-    from_cycle, to_cycle : float
-        Edges, in cycles from where φ rises through its mean.
-    mean, stderr, z, n
-        As in :class:`FlowRow`.
+    low, high, at : float
+        Its ends, and the mean of the signal between them.
+    before, after : mapping of str to Cell
+        The residual in all rows of the range ("any"), and where the signal is "rising" and
+        "falling".
     """
 
-    from_cycle: float
-    to_cycle: float
-    mean: float
-    stderr: float
-    z: float
-    n: int
-
-
-@dataclass(frozen=True)
-class RegimeRow:
-    """The residual of one record beside the regime that it was taken in.
-
-    Parameters
-    ----------
-    record : str
-        Name of the record.
-    phi_mean, phi_amplitude : float
-        Mean of φ, and the amplitude √2 · rms of its departure from it.
-    surge_hz : float
-        Surge frequency, in hertz; NaN where φ has no regular cycle.
-    mean, rms : float
-        Of the residual.
-    ratio : float
-        rms over the floor.
-    z_mean, z_variance : float
-        Of the mean against zero and of the variance against the floor.
-    """
-
-    record: str
-    phi_mean: float
-    phi_amplitude: float
-    surge_hz: float
-    mean: float
-    rms: float
-    ratio: float
-    z_mean: float
-    z_variance: float
-
-    @property
-    def z(self) -> float:
-        """The larger of the two."""
-        return _larger(abs(self.z_mean), self.z_variance)
+    low: float
+    high: float
+    at: float
+    before: Mapping[str, Cell]
+    after: Mapping[str, Cell]
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where a residual stands out, and where it does not.
+    """Where the residual of one output stands out, before and after.
 
     Parameters
     ----------
-    time, frequency, flow, phase, regime : tuple
-        Rows of each panel; `phase` is empty where φ has no regular cycle.
-    lines : tuple of Line
-        Surge and stall cells.
-    spectrum_hz, spectrum_ratio : ndarray of shape (m,)
-        The spectrum over the floor's.
-    direction_means : tuple of float
-        Mean residual while φ falls and while it rises, without the slow part.
-    direction_z : float
-        Of the difference of the two.
-    floor_rms : float
-        Measurement noise as stated.
+    of : Residuals
+        What was looked at.
+    time : tuple of TimeRow
+        Blocks of each record.
+    frequency : tuple of BandRow
+        Bands, spaced logarithmically.
+    flow : tuple of SignalRow
+        Ranges of the signal.
+    direction : Cell
+        Mean while the signal falls less that while it rises, before.
+    line : Line or None
+        A narrow line that stands out of its neighbourhood, before.
     background : float
-        rms of the quietest quarter of the spectrum over the floor.
-    effective_share : float
-        Independent rows in a mean over one row of the floor's noise, 1 for white noise.
+        rms of the quietest quarter of the spectrum over the floor; NaN where none is known.
     looks : int
-        Numbers looked at.
+        Numbers that were looked at.
     bound_z : float
         What chance reaches in that many looks.
-    words : tuple of str
-        A sentence for each panel, and one on how they were judged.
     """
 
+    of: Residuals
     time: tuple[TimeRow, ...]
-    frequency: tuple[FrequencyRow, ...]
-    flow: tuple[FlowRow, ...]
-    phase: tuple[PhaseRow, ...]
-    regime: tuple[RegimeRow, ...]
-    lines: tuple[Line, ...]
-    spectrum_hz: FloatArray
-    spectrum_ratio: FloatArray
-    direction_means: tuple[float, float]
-    direction_z: float
-    floor_rms: float
+    frequency: tuple[BandRow, ...]
+    flow: tuple[SignalRow, ...]
+    direction: Cell
+    line: Line | None
     background: float
-    effective_share: float
     looks: int
     bound_z: float
-    words: tuple[str, ...] = ()
 
     @property
     def strongest_z(self) -> dict[str, float]:
-        """Largest |z| of each panel; 0 where a panel has nothing that was looked at."""
+        """Largest |z| of each panel; 0 where a panel has none."""
         found = {
             "time": [row.z for row in self.time],
-            "frequency": [row.z for row in self.frequency] + [line.z for line in self.lines],
-            "flow": [abs(row.z) for row in self.flow] + [abs(self.direction_z)],
-            "phase": [abs(row.z) for row in self.phase],
-            "regime": [row.z for row in self.regime] if len(self.regime) > 1 else [],
+            "frequency": [row.z for row in self.frequency] + [self.line.z if self.line else 0.0],
+            "flow": [abs(cell.z) for row in self.flow for cell in row.before.values()]
+            + [abs(self.direction.z)],
         }
         return {
             name: max((z for z in values if math.isfinite(z)), default=0.0)
@@ -301,26 +242,52 @@ class Where:
         beyond = {name: z for name, z in self.strongest_z.items() if z > self.bound_z}
         return tuple(sorted(beyond, key=lambda name: -beyond[name]))
 
-    @property
-    def max_band_ratio(self) -> float:
-        """Largest ratio of a band to the floor; calibrated by the row's own `ratio_bound`."""
-        return max(row.ratio for row in self.frequency)
+    def to_json(self) -> dict[str, list[dict[str, Any]]]:
+        """Return the rows of each panel as plain dictionaries; None for what is not known.
 
-    @property
-    def max_flow_z(self) -> float:
-        """Largest |z| of the flow map or of its falling-rising contrast; compare `bound_z`."""
-        return self.strongest_z["flow"]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the rows of each panel and the words as plain lists and dictionaries."""
-        document: dict[str, Any] = {
-            name: [asdict(row) for row in getattr(self, name)] for name in PANELS
+        Returns
+        -------
+        dict
+            ``{"time": [...], "frequency": [...], "flow": [...]}``. A row of ``flow`` gives the
+            means in its range before and after; ``mean``, ``stderr`` and ``z`` are those before,
+            while the signal goes the way that ``direction`` says.
+        """
+        own = {"record": ", ".join(self.of.record_names), "output": self.of.output}
+        return {
+            "time": [own | _plain({**asdict(row), "rms": row.before_rms}) for row in self.time],
+            "frequency": [own | _plain(asdict(row)) for row in self.frequency],
+            "flow": [own | self._flow_json(row, way) for way in WAYS[1:] for row in self.flow],
         }
-        for row in document["frequency"]:
-            row["lines"] = list(row["lines"])
-        document["words"] = list(self.words)
-        return document
+
+    def _flow_json(self, row: SignalRow, way: str) -> dict[str, Any]:
+        one = row.before[way]
+        edges = {f"{self.of.signal}_from": row.low, f"{self.of.signal}_to": row.high}
+        return _plain(
+            {
+                "signal": self.of.signal,
+                "simulated": self.of.simulated,
+                **edges,
+                "low": row.low,
+                "high": row.high,
+                "at": row.at,
+                "direction": way,
+                "mean": one.mean,
+                "stderr": one.stderr,
+                "z": one.z,
+                "n": one.n,
+                "before_mean": row.before["any"].mean,
+                "before_stderr": row.before["any"].stderr,
+                "after_mean": row.after["any"].mean,
+                "after_stderr": row.after["any"].stderr,
+                "before_rising": row.before["rising"].mean,
+                "before_falling": row.before["falling"].mean,
+                "after_rising": row.after["rising"].mean,
+                "after_falling": row.after["falling"].mean,
+            }
+        )
 
 
-def _larger(*values: float) -> float:
-    return max((value for value in values if math.isfinite(value)), default=0.0)
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    unknown = {k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
+    out = {k: None if k in unknown else v for k, v in row.items()}
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in out.items()}

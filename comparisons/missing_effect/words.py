@@ -19,7 +19,7 @@ from comparisons.missing_effect.quantities import (
     tau_ms,
 )
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows, effect_of, not_fitted
-from comparisons.missing_effect.results import SIZE
+from comparisons.missing_effect.results import CORRELATION, MUCH_CORRELATED, SIZE
 from comparisons.missing_effect.shown import tau_before_stderr_s
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from surge_core.rounding import significant
@@ -40,10 +40,6 @@ __all__ = [
 
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show.",
-    "named": "What is missing has a name.",
-    "alias_set": "Something is missing, and these records give it more than one name.",
-    "provisional": "Something is missing, and its name is provisional.",
-    "unnamed_term": "Something is missing that no effect of the catalogue stands for.",
     "unexplained_structure": "Something is left in the errors that nothing tried here explains.",
     "noise_model_wrong": "No effect is missing that these records show, but their noise is not "
     "white and normal.",
@@ -95,7 +91,7 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         Whether limits and separating measurements are reported elsewhere, so that no option that
         would find them is named.
     """
-    said = [_LEADS[d.verdict]]
+    said = [_LEADS.get(d.verdict) or _headline(d)]
     if d.missing:
         said += [*(_effect_words(d, item) for item in d.missing), _tau_words(d), _gap_words(d)]
         said += [words for item in d.missing if (words := _alias_words(d, item))]
@@ -109,6 +105,32 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         said += [_left_words(d), *(f"{_sentence(remark)}." for remark in d.remarks)]
         said.append(_limit_words(d, limited=limited))
     return " ".join(filter(None, said))
+
+
+def _headline(d: Diagnosis) -> str:
+    """Return what is missing and what it does, in one sentence."""
+    each = []
+    for item in d.missing:
+        label = label_of(effect_of(d, item.effect))
+        others = " or ".join(item.alias_set[1:])
+        each.append(label + (f" (or {others})" if others else ""))
+    lead = {
+        "provisional": "The lag model lacks something, provisionally named",
+        "unnamed_term": "The lag model lacks a term that no effect of the catalogue stands for,",
+    }.get(d.verdict, "The lag model lacks")
+    before, after = (_floors(d, rms) for rms in (d.gap.before_rms, d.gap.after_rms))
+    now = tau_ms(d.tau_after_s, d.tau_stderr_s)
+    tau = f"τ goes from {tau_ms(d.tau_before_s, tau_before_stderr_s(d))} to {now}"
+    if abs(d.tau_after_s / d.tau_before_s - 1.0) < LEAST_CHANGE:
+        tau = f"τ stays at {now}"
+    error = (
+        f"the held-out error falls from {before} to {after} times the noise "
+        f"({_closed(d.gap.shrink)} of the gap)"
+    )
+    if not d.gap.shrink:
+        error = f"the held-out error stays at {after} times the noise"
+    it = "them" if len(each) > 1 else "it"
+    return f"{lead} {_listed(each)}: with {it} {error}, and {tau}."
 
 
 def opening_words(d: Diagnosis) -> str:
@@ -238,7 +260,6 @@ def label_of(effect: Effect) -> str:
 def _effect_words(d: Diagnosis, item: MissingEffect) -> str:
     effect = effect_of(d, item.effect)
     numbers = numbers_of(item.effect, item.parameters)
-    opening = "It is" if item is d.missing[0] else "And"
     if effect.unnamed:
         letters = letters_of(effect)
         return (
@@ -247,42 +268,31 @@ def _effect_words(d: Diagnosis, item: MissingEffect) -> str:
             f"{f' ({letters})' if letters else ''}."
         )
     return (
-        f"{opening} {effect.name}, at the port “{effect.port}”: {effect.equation}. "
-        f"{_sentence(effect.says)}; {numbers}{_together_words(item)}."
+        f"{effect.name}: {effect.equation}. {_sentence(effect.says)}; "
+        f"{numbers}{_together_words(item)}."
     )
 
 
 def _tau_words(d: Diagnosis) -> str:
-    before = tau_ms(d.tau_before_s, tau_before_stderr_s(d))
-    after = tau_ms(d.tau_after_s, d.tau_stderr_s)
-    change = d.tau_after_s / d.tau_before_s - 1.0
-    it = "them" if len(d.missing) > 1 else "it"
-    words = f"With {it} τ goes from {before} to {after} ({100.0 * change:+.1f} %)"
-    if abs(change) < LEAST_CHANGE:
-        words = f"With {it} τ stays at {after}"
     known = [item for item in d.missing if not effect_of(d, item.effect).unnamed]
     meaning = [_TAU_MEANING[i.effect] for i in known if i.effect in _TAU_MEANING]
-    words += f"; {', '.join(meaning)}" if meaning else ""
+    words = f"{_sentence(', '.join(meaning))}. " if meaning else ""
     listed = "; ".join(
         (f"{i.effect}: " if len(known) > 1 else "") + effect_of(d, i.effect).on_tau for i in known
     )
-    words = f"{words}.".replace("(-", "(−")
-    return f"{words} What leaving it out does to τ: {listed}." if listed else words
+    return f"{words}What leaving it out does to τ: {listed}." if listed else words.rstrip()
 
 
 def _gap_words(d: Diagnosis) -> str:
     gap = d.gap
     ripple = not d.whole_runs and any(effect_of(d, item.effect).episodes for item in d.missing)
-    again = ", where the phase of a ripple is fitted again in each episode," if ripple else ""
-    where = "cycles left out" if d.whole_runs else f"rows held out{again}"
-    noise = f"noise {significant(gap.floor_rms, 3)}"
-    before, after = significant(gap.before_rms, 3), significant(gap.after_rms, 3)
-    if not gap.shrink:
-        return f"On {where} the rms error stays at {after} ({noise})."
+    where = "on cycles left out" if d.whole_runs else "on rows held out"
+    again = ", the phase of the ripple fitted again in each episode" if ripple else ""
+    before, after, noise = (
+        significant(rms, 3) for rms in (gap.before_rms, gap.after_rms, gap.floor_rms)
+    )
     return (
-        f"On {where} the rms error falls from {_floors(d, gap.before_rms)} to "
-        f"{_floors(d, gap.after_rms)} times the noise ({before} to {after}, {noise}): "
-        f"{_closed(gap.shrink)} of the gap is closed."
+        f"In ψ' the rms error {where} is {before} before and {after} after{again}, noise {noise}."
     )
 
 
@@ -366,6 +376,9 @@ def _doubt_words(d: Diagnosis) -> list[str]:
 
 def _together_words(item: MissingEffect) -> str:
     """Say what is known of an effect whose numbers are not known one by one."""
+    rho = item.evidence.get(CORRELATION, 0.0)
+    if abs(rho) > MUCH_CORRELATED:
+        return f", numbers that go together (correlation {rho:.2f}): one by one they are uncertain"
     free = [p for p in item.parameters if p.stderr > 0.0]
     size = item.evidence.get(SIZE, 0.0)
     if len(free) < 2 or size < LEAST_SIZE:

@@ -21,6 +21,7 @@ from comparisons.missing_effect.terminal import (
     candidate_heads,
     legend_of,
 )
+from comparisons.missing_effect.where_words import describe
 from comparisons.missing_effect.words import (
     noise_words,
     opening_words,
@@ -45,8 +46,7 @@ _WORDS_COLUMNS = ("candidate", "fate")
 
 def diagnosis_parts(
     d: Diagnosis,
-    before: Where | None,
-    after: Where | None = None,
+    where: Where | None,
     *,
     limits: Any = None,
     separation: Any = None,
@@ -57,9 +57,8 @@ def diagnosis_parts(
     ----------
     d : Diagnosis
         The diagnosis.
-    before, after : Where or None
-        Where the residual of the model before and after stands out; None where the records are
-        too short for that.
+    where : Where or None
+        Where the residuals before and after stand out; None where the records are too short.
     limits, separation : object, optional
         With ``lines``: what would have been named, and what would separate an alias set.
     """
@@ -68,12 +67,12 @@ def diagnosis_parts(
     parts = (
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
-            (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
+            (Words(words, tone), diagnosis_picture(d, where), _gap_table(d)),
         ),
-        Part("Where the model and the measurement part", _where(d, before)),
+        Part("Where the model and the measurement part", _where(d, where)),
         Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
-        Part("Noise and what is left", _left(d, after)),
+        Part("Noise and what is left", _left(d)),
         Part("Limits", _lines(limits)),
         Part("What would separate an alias set", _lines(separation)),
         Part("Effects that could not be tried", (_ledger(d),)),
@@ -83,8 +82,7 @@ def diagnosis_parts(
 
 def diagnosis_report(
     d: Diagnosis,
-    before: Where | None,
-    after: Where | None = None,
+    where: Where | None,
     *,
     limits: Any = None,
     separation: Any = None,
@@ -94,13 +92,13 @@ def diagnosis_report(
 
     Parameters
     ----------
-    d, before, after, limits, separation
+    d, where, limits, separation
         See :func:`diagnosis_parts`.
     command : str
         The command line that made it.
     """
     names = ", ".join(PurePath(source).name for source in d.data.sources)
-    parts = diagnosis_parts(d, before, after, limits=limits, separation=separation)
+    parts = diagnosis_parts(d, where, limits=limits, separation=separation)
     return render_page(
         [(names, parts)],
         title=f"What is missing in the lag model of {names}",
@@ -139,12 +137,12 @@ def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
     return significant(rms, 3), f"{rms / floor:.2f}"
 
 
-def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
-    if before is None:
+def _where(d: Diagnosis, where: Where | None) -> tuple[Block, ...]:
+    if where is None:
         return (Words(TOO_SHORT),)
     return (
         Words(opening_words(d), "quiet"),
-        Bullets(before.words),
+        Bullets(describe(where, two=bool(d.missing))),
     )
 
 
@@ -236,7 +234,7 @@ def _bounds(parameter: Parameter) -> str:
     return f"{parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
+def _left(d: Diagnosis) -> tuple[Block, ...]:
     left = d.leftover
     words = (
         f"A joint test of {left.degrees} columns, those of all effects and open terms that were "
@@ -244,10 +242,7 @@ def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
         f"{left.p_value:.2g}): "
         + ("structure is left." if left.structured else "no more than chance.")
     )
-    blocks: list[Block] = [Words(noise_words(d)), *([Words(words)] if left.degrees else [])]
-    if d.missing and after is not None:
-        blocks.append(Bullets(after.words, heading="Where the model after still stands out"))
-    return tuple(blocks)
+    return (Words(noise_words(d)), *([Words(words)] if left.degrees else []))
 
 
 def _lines(found: Any) -> tuple[Block, ...]:

@@ -6,8 +6,6 @@ from itertools import cycle
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from comparisons.missing_effect.quantities import equation_of, numbers_of, open_words, tau_ms
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows, effect_of
 from comparisons.missing_effect.shown import (
@@ -16,6 +14,7 @@ from comparisons.missing_effect.shown import (
     steady_curves,
     stretch,
 )
+from comparisons.missing_effect.where_panels import draw_over_signal, draw_spectrum
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
@@ -28,7 +27,6 @@ from comparisons.page.style import (
     dress,
     legend,
     new_figure,
-    plain_numbers,
     printable,
     robust_limits,
 )
@@ -53,7 +51,6 @@ LONGEST_LINE = 130
 # A heading longer than this is set smaller.
 HEADING_LETTERS, HEADING_SIZE = 72, 14.0
 LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
-VIEWS = ("time", "frequency", "flow", "phase", "regime")
 
 
 def title(d: Diagnosis) -> str:
@@ -79,29 +76,29 @@ def title(d: Diagnosis) -> str:
     return f"{lead.get(d.verdict, 'Missing')}: {' and '.join(names)}"
 
 
-def diagnosis_picture(d: Diagnosis, before: Where | None, after: Where | None = None) -> Picture:
+def diagnosis_picture(d: Diagnosis, where: Where | None) -> Picture:
     """Draw a diagnosis in one picture: gap, where, who, characteristic, verdict.
 
     Parameters
     ----------
     d : Diagnosis
         The diagnosis.
-    before, after : Where or None
-        Of the model before and after; None where the records are too short to tell.
+    where : Where or None
+        Of the models before and after; None where the records are too short.
 
     Returns
     -------
     Picture
         On top measured and simulated ψ' on a held-out stretch, and both residuals over the noise;
-        below, how far the residual stands out in each view, the candidates by score with τ, and
-        the characteristic before and after.
+        below, the spectrum of the residuals and their mean over φ; then the candidates by score
+        with τ, and the characteristic before and after.
     """
     heading, lines = title(d), _lines(d)
-    figure = new_figure(height_in=8.2 + 0.2 * len(lines))
+    figure = new_figure(height_in=10.6 + 0.2 * len(lines))
     size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
     look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
     figure.suptitle(_plain(heading), fontsize=size, fontweight="bold", **look)
-    grid = figure.add_gridspec(3, 1, height_ratios=[1.15, 0.8, 1.45])
+    grid = figure.add_gridspec(4, 1, height_ratios=[1.15, 0.8, 1.15, 1.35])
     run = held_out_run(d)
     shown = stretch(d, run)
     upper = dress(figure.add_subplot(grid[0]))
@@ -110,19 +107,25 @@ def diagnosis_picture(d: Diagnosis, before: Where | None, after: Where | None = 
     below = [shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines]
     upper.set_title("\n".join([*below, str(upper.get_title(loc="left"))]), **LEFT)
     _residuals(lower, d, run, shown)
-    bottom = grid[2].subgridspec(1, 3, width_ratios=[0.8, 1.15, 1.15], wspace=0.04)
-    _views(dress(figure.add_subplot(bottom[0])), before, after if d.missing else None)
-    _candidates(figure.add_subplot(bottom[1]), d)
-    _curves(dress(figure.add_subplot(bottom[2])), d)
+    if where is not None:
+        middle = grid[2].subgridspec(1, 2, width_ratios=[1.1, 1.0])
+        left, right = (dress(figure.add_subplot(middle[i])) for i in range(2))
+        draw_spectrum(left, where, two=bool(d.missing))
+        legend(left, loc="best", fontsize=TINY, handlelength=2.2)
+        draw_over_signal(right, where, two=bool(d.missing))
+    bottom = grid[3].subgridspec(1, 2, width_ratios=[1.0, 1.0])
+    _candidates(figure.add_subplot(bottom[0]), d)
+    _curves(dress(figure.add_subplot(bottom[1])), d)
     return Picture.of(
         "The diagnosis in one picture",
         figure,
         _shown_words(d, run.time_s[shown]),
         "Top: the held-out stretch on which the model before is worst, simulated from φ alone by "
         "fits to other rows; what is left of the error after should stay within the shaded band "
-        "in 19 rows of 20. Below, left: how far the residual of a fit to all rows stands out in "
-        "each view, on a logarithmic scale; right of the dashed line is beyond chance. Middle: "
-        "all that competed, the alias set hatched or pale. Right: the characteristic.",
+        "in 19 rows of 20. Below: power densities, and the mean residual in ranges of φ with two "
+        "standard errors and small triangles for rising (up) and falling (down) flow: a bend is a "
+        "missing characteristic, two branches are a lag or a hysteresis. Bottom: all that "
+        "competed, the alias set hatched or pale; and the characteristic.",
     )
 
 
@@ -204,32 +207,6 @@ def _legend_over(ax: Axes) -> None:
         borderaxespad=0.0,
         handlelength=1.8,
     )
-
-
-def _views(ax: Axes, before: Where | None, after: Where | None) -> None:
-    ax.set_title("where the residual stands out", **LEFT)
-    if before is None:
-        ax.set_axis_off()
-        ax.text(0.0, 0.6, "records too short to tell", fontsize=SMALL, color=QUIET)
-        return
-    names = [name for name in VIEWS if before.strongest_z[name] > 0.0]
-    both = [(before, BEFORE if after is not None else AFTER, -0.19, "before")]
-    if after is not None:
-        both.append((after, AFTER, 0.19, "after"))
-    height = 0.34 if after is not None else 0.5
-    for where, colour, offset, label in both:
-        size = [max(where.strongest_z[name] / where.bound_z, 0.02) for name in names]
-        place = np.arange(len(names)) + (offset if after is not None else 0.0)
-        ax.barh(place, size, height=height, color=colour, lw=0, label=label)
-    ax.axvline(1.0, color=INK, lw=1.0, ls=(0, (5, 2)))
-    ax.set_xscale("log")
-    largest = max(before.strongest_z.values()) / before.bound_z
-    ax.set_xlim(0.1, max(3.0 * largest, 10.0))
-    ax.set_yticks(range(len(names)), names, fontsize=SMALL)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.grid(False, axis="y")
-    plain_numbers(ax.xaxis)
-    ax.set_xlabel("strongest z over what chance reaches", fontsize=SMALL)
 
 
 def _candidates(ax: Axes, d: Diagnosis) -> None:

@@ -79,8 +79,7 @@ def _diagnose(name: str) -> str:
     d = replace(d, data=replace(d.data, sources=(name, f"{name} 2")), unavailable={name: name})
     return diagnosis_report(
         d,
-        where_of(d, d.before),
-        where_of(d, d.after),
+        where_of(d),
         limits=Told(name),
         command=f"sindy-surge diagnose {name}",
     )

@@ -17,7 +17,7 @@ from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_met
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.quantities import covariance, numbers_of
+from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import (
     CheckRun,
@@ -27,6 +27,7 @@ from comparisons.missing_effect.systems.results import (
     SystemDiagnosis,
 )
 from comparisons.missing_effect.systems.search import Round, search_round, still_aliases
+from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -109,11 +110,35 @@ def diagnose_model(
         if bench is not base and not _worth_adding(rounds[-1], bench, moved, unnamed):
             break
         bench, added = moved, added + len(winner.added)
+    bench = bench.without_needless()
+    if records.shortened and added < most_effects and not bench.fit.failed:
+        report("looking for what changes slowly")
+        bench, rounds = _with_drift(bench, rounds, catalogue)
     rounds = [replace(step, aliases=still_aliases(bench, step)) for step in rounds]
     report("testing what is left")
     left = leftover_of(bench, catalogue, library)
     report("fitting all rows")
     return _concluded(base, bench, tuple(rounds), checks, left)
+
+
+def _with_drift(
+    bench: Bench, rounds: list[Round], catalogue: Sequence[SystemEffect]
+) -> tuple[Bench, list[Round]]:
+    """Look for a drift over whole records, of which the search saw the first rows alone."""
+    drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
+    whole = bench.over_whole_records()
+    if not drifts or whole.fit.failed:
+        return bench, rounds
+    step = search_round(whole, drifts, ())
+    if step.winner is None or step.winner.fit is None:
+        return bench, rounds
+    moved = whole.with_winner(step.winner.fit, step.winner.raw)
+    if not _worth_adding(step, whole, moved, unnamed=False):
+        return bench, rounds
+    # A round that added nothing is the last one, and this one stands in its place.
+    last, keys = rounds[-1].winner, {e.key for e in bench.fit.structure.effects}
+    idle = last is None or not all(placed.key in keys for placed in last.added)
+    return moved, [*rounds[: len(rounds) - idle], step]
 
 
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
@@ -249,6 +274,7 @@ def _found(
             "z": evidence.z,
             "score": evidence.score,
             "p_value": evidence.p_value,
+            "largest_correlation": correlation_of(fit, placed, cov),
         },
         placed.equation(model),
         placed.words(model).says,

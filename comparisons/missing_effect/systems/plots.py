@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.missing_effect.scales import Scale, scale_of, typical
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.shown import (
-    Scale,
     all_runs,
     candidates_shown,
     fate_of,
-    scale_of,
     split_of,
     telling_run,
     telling_stretch,
-    typical,
 )
-from comparisons.missing_effect.systems.where import SystemWhere, where_of
+from comparisons.missing_effect.systems.where import where_of
+from comparisons.missing_effect.where_panels import draw_over_signal, draw_spectrum
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -175,71 +174,14 @@ def draw_residuals(d: SystemDiagnosis, run: CheckRun | None = None) -> Figure:
         where = where_of(chosen, d.missing, output=name, model=d.model)
         left = dress(figure.add_subplot(grid[j, 0]))
         right = dress(figure.add_subplot(grid[j, 1]))
-        _spectrum(left, d, where)
-        _over_signal(right, d, where)
+        draw_spectrum(left, where, two=bool(d.missing))
+        draw_over_signal(right, where, two=bool(d.missing))
         if j == 0:
             panels = (left,)
         if j < n - 1:
             left.set_xlabel("")
     legend_above(figure, *panels, columns=3)
     return figure
-
-
-def _spectrum(ax: Axes, d: SystemDiagnosis, where: SystemWhere) -> None:
-    at = np.array([0.5 * (row.low_hz + row.high_hz) for row in where.frequency])
-    curves = [([row.measured_psd for row in where.frequency], MEASURED, "measured", 2.4)]
-    if d.missing:
-        curves.append(([row.before_psd for row in where.frequency], BEFORE, "residual before", 1.5))
-    last = "residual after" if d.missing else "residual"
-    curves.append(([row.after_psd for row in where.frequency], AFTER, last, 1.5))
-    for values, colour, label, width in curves:
-        ax.loglog(at, np.array(values), color=colour, lw=width, marker=".", ms=4, label=label)
-    unit = d.model.outputs[where.output]
-    squared = "1" if unit == "1" else f"{unit}²" if unit.isalpha() else f"({unit})²"
-    ax.set_ylabel(printable(f"power density [{squared}/Hz]"), fontsize=SMALL)
-    ax.set_xlabel("frequency [Hz]", fontsize=9)
-    _heading(ax, f"{printable(where.output, LONGEST_NAME)}: spectrum")
-
-
-def _over_signal(ax: Axes, d: SystemDiagnosis, where: SystemWhere) -> None:
-    rows = where.flow
-    both = [("after", AFTER, "s")]
-    if d.missing:
-        both.insert(0, ("before", BEFORE, "o"))
-    unit = d.model.outputs[where.output]
-    sizes = [abs(getattr(row, f"{key}_mean")) for row in rows for key, _, _ in both]
-    scale = scale_of(unit, sizes)
-    own_unit = _unit_of(d, where.signal)
-    over = scale_of(own_unit, [row.low for row in rows] + [row.high for row in rows])
-    at = over.factor * np.array([row.at for row in rows])
-    ax.axhline(0.0, color=INK, lw=0.7)
-    for key, colour, marker in both:
-        mean = scale.factor * np.array([getattr(row, f"{key}_mean") for row in rows])
-        error = scale.factor * np.array([getattr(row, f"{key}_stderr") for row in rows])
-        ax.errorbar(
-            at,
-            mean,
-            2.0 * np.nan_to_num(error),
-            color=colour,
-            marker=marker,
-            ms=3.5,
-            lw=1.1,
-            elinewidth=0.9,
-            capsize=2.0,
-        )
-        for way, sign in (("rising", "^"), ("falling", "v")):
-            part = scale.factor * np.array([getattr(row, f"{key}_{way}") for row in rows])
-            ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
-    ax.set_ylabel(printable(f"mean residual {scale.bracketed}"), fontsize=SMALL)
-    name = printable(where.signal, LONGEST_NAME)
-    label = f"{name} simulated" if where.simulated else name
-    ax.set_xlabel(f"{label} {printable(over.bracketed)}", fontsize=9)
-    ax.locator_params(axis="x", nbins=6)
-    _heading(ax, f"{printable(where.output, LONGEST_NAME)}: mean residual over {name}")
-
-
-def _unit_of(d: SystemDiagnosis, channel: str) -> str:
-    return d.model.outputs.get(channel) or d.model.inputs.get(channel, "1")
 
 
 def draw_candidates(d: SystemDiagnosis) -> Figure:

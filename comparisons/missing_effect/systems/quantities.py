@@ -20,7 +20,7 @@ from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.types import FloatArray
 
-__all__ = ["covariance", "numbers_of"]
+__all__ = ["correlation_of", "covariance", "numbers_of"]
 
 # Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
 # number in such directions from which on it is not reported.
@@ -126,6 +126,30 @@ def numbers_of(
     if placed.effect.linear and placed.effect.kind in (Kind.TERM, Kind.HYSTERESIS):
         out = _balanced(fit, placed, cov, out, at)
     return tuple(FittedNumber(n, float(v), float(e), u) for n, v, e, u in out)
+
+
+def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
+    """Return the largest correlation of two numbers of one effect; 0 where it has no two.
+
+    Parameters
+    ----------
+    fit : Fit
+        With the effect.
+    placed : Placed
+        The effect.
+    cov : ndarray
+        Covariance of θ.
+    """
+    model = fit.structure.model
+    index = [e.key for e in fit.structure.effects].index(placed.key)
+    first = len(model.params) + len(model.inputs) + SLOTS * index
+    at = first + np.flatnonzero([not held for held in placed.held])
+    size = np.diag(cov)[at]
+    at, size = at[(size > 0.0) & np.isfinite(size)], size[(size > 0.0) & np.isfinite(size)]
+    if at.size < 2:
+        return 0.0
+    apart = np.triu(cov[np.ix_(at, at)] / np.sqrt(np.outer(size, size)), 1).ravel()
+    return float(apart[np.argmax(np.abs(apart))])
 
 
 def _balanced(

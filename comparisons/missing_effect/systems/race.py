@@ -44,7 +44,9 @@ def promising(raw: Answers, white: Answers) -> list[Probe]:
         for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 2], *pairs):
             kept.setdefault(probe.key, probe)
     for probe in white.best():
-        if probe.placed.effect.kind in BENT and not probe.placed.effect.linear:
+        effect = probe.placed.effect
+        # A weak filter through which all was recorded is a delay, which cannot be seen.
+        if (effect.kind in BENT and not effect.linear) or effect.kind is Kind.RECORDING:
             kept.setdefault(probe.key, probe)
     # The plain form of whatever is promising races beside it, and each half of a pair alone.
     wanted = {(e.name, e.place) for p in kept.values() for e in p.added}

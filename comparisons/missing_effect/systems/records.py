@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,22 +85,44 @@ class Records:
                 raise InputError(
                     e.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{e.n_samples}"
                 )
-        total = sum(e.n_samples for e in whole)
-        fitted, held_out = [], []
-        for e in whole:
-            cut = int(FITTED_SHARE * e.n_samples)
-            share = e.n_samples / total
-            most = max(int(MOST_FITTED * share), FEWEST_HELD_OUT)
-            most_out = max(int(MOST_HELD_OUT * share), FEWEST_HELD_OUT)
-            fitted.append(e.rows(0, min(cut, most)))
-            held_out.append(e.rows(cut, e.n_samples).rows(0, most_out))
-            _check_read(model, fitted[-1], "the first two thirds")
-            _check_read(model, held_out[-1], "the last third")
         span = (
             min(e.first_s for e in whole),
             max(e.first_s + e.n_samples * e.sample_period_s for e in whole),
         )
-        return cls(model, whole, tuple(fitted), tuple(held_out), span)
+        total = sum(e.n_samples for e in whole)
+        records = cls(model, whole, whole, whole, span).cut(
+            MOST_FITTED / total, MOST_HELD_OUT / total
+        )
+        for fitted, held_out in zip(records.fitted, records.held_out, strict=True):
+            _check_read(model, fitted, "the first two thirds")
+            _check_read(model, held_out, "the last third")
+        return records
+
+    def cut(self, fitted: float = 1.0, held_out: float = 1.0) -> Records:
+        """Return the records with at most these shares of their rows fitted and held out.
+
+        Parameters
+        ----------
+        fitted, held_out : float
+            Shares of the rows of each record, from the start of its two thirds and of its third.
+        """
+        first, last = [], []
+        for e in self.whole:
+            cut = int(FITTED_SHARE * e.n_samples)
+            most, most_out = (
+                max(int(share * e.n_samples), FEWEST_HELD_OUT) for share in (fitted, held_out)
+            )
+            first.append(e.rows(0, min(cut, most)))
+            last.append(e.rows(cut, e.n_samples).rows(0, most_out))
+        return replace(self, fitted=tuple(first), held_out=tuple(last))
+
+    @property
+    def shortened(self) -> bool:
+        """Whether naming uses fewer rows than there are."""
+        whole = self.cut()
+        return any(
+            a.n_samples < b.n_samples for a, b in zip(self.fitted, whole.fitted, strict=True)
+        )
 
 
 def _check_read(model: Model, stretch: Experiment, which: str) -> None:

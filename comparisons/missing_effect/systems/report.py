@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.systems.report_words import (
     between_words,
     candidate_cells,
@@ -16,21 +17,19 @@ from comparisons.missing_effect.systems.report_words import (
     rounds_words,
     stretch_words,
     unfitted_words,
-    where_words,
 )
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.shown import (
     all_runs,
     candidates_shown,
     fate_of,
-    scale_of,
     split_of,
     telling_run,
     telling_stretch,
-    typical,
 )
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import doubt_words, number_words, system_words
+from comparisons.missing_effect.where_words import describe
 from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from surge_core.rounding import round_to_error, significant
@@ -120,7 +119,7 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
     from_s = e.first_s + rows.start * e.sample_period_s
     to_s = e.first_s + rows.stop * e.sample_period_s
     wheres = [where_of(run, d.missing, output=output, model=d.model) for output in run.outputs]
-    listed = tuple(words for where in wheres for words in where_words(d, where))
+    listed = tuple(words for where in wheres for words in describe(where, two=bool(d.missing)))
     how = (
         "the stretch on which what was added changes most"
         if d.missing

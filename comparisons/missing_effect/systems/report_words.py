@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.search import Candidate, Round
-from comparisons.missing_effect.systems.shown import (
-    added,
-    all_runs,
-    fate_of,
-    scale_of,
-    split_of,
-    typical,
-)
-from comparisons.missing_effect.systems.where import SignalRow, SystemWhere
-from surge_core.rounding import log_units, round_to_error, significant
+from comparisons.missing_effect.systems.shown import added, all_runs, fate_of, split_of
+from surge_core.rounding import log_units, significant
 
 __all__ = [
     "between_words",
@@ -27,12 +18,10 @@ __all__ = [
     "rounds_words",
     "stretch_words",
     "unfitted_words",
-    "where_words",
 ]
 
 # Records that an alternative text tells one by one.
 MOST_TOLD = 6
-CLEAR_Z = 3.0
 FATES = {
     "added": "added",
     "alias": "cannot be separated from the best",
@@ -94,80 +83,6 @@ def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
         later = " after" if d.missing else ""
         listed.append(f"{output} rms {fell}{scale.text(after)}{later}")
     return "; ".join(listed)
-
-
-def where_words(d: SystemDiagnosis, where: SystemWhere) -> tuple[str, ...]:
-    """Return where the residual of one output stands out: one sentence a panel.
-
-    Parameters
-    ----------
-    d : SystemDiagnosis
-        The diagnosis.
-    where : SystemWhere
-        Of one of its runs and outputs.
-    """
-    return _time_words(d, where), _band_words(where), _signal_words(d, where)
-
-
-def _time_words(d: SystemDiagnosis, where: SystemWhere) -> str:
-    known = [row for row in where.time if math.isfinite(row.before_rms)]
-    if not known:
-        return f"{where.output}: could not be simulated by the model before."
-    worst = max(known, key=lambda row: row.before_rms)
-    sizes = [row.before_rms for row in known]
-    unit = d.model.outputs[where.output]
-    top, median, after = (
-        scale_of(unit, [size]).text(size)
-        for size in (worst.before_rms, float(np.median(sizes)), worst.after_rms)
-    )
-    return (
-        f"{where.output} in time: the residual of the model{' before' if d.missing else ''} is "
-        f"largest from {worst.from_s:.4g} to {worst.to_s:.4g} s, rms {top} where the median "
-        f"block has {median}{f', and {after} there after' if d.missing else ''}."
-    )
-
-
-def _band_words(where: SystemWhere) -> str:
-    power = np.array([row.before_psd * (row.high_hz - row.low_hz) for row in where.frequency])
-    if not (np.all(np.isfinite(power)) and power.sum() > 0.0):
-        return f"{where.output} over frequency: no residual to tell of."
-    row = where.frequency[int(np.argmax(power))]
-    share = 100.0 * float(power.max() / power.sum())
-    beside = ""
-    if row.measured_psd > 0.0:
-        part = 100.0 * row.before_psd / row.measured_psd
-        listed = "more than" if part > 100.0 else f"{significant(part, 2)} % of"
-        beside = f", {listed} what was measured there"
-    return (
-        f"{where.output} over frequency: the band from {row.low_hz:.3g} to {row.high_hz:.3g} Hz "
-        f"holds {share:.0f} % of its power{beside}."
-    )
-
-
-def _signal_words(d: SystemDiagnosis, where: SystemWhere) -> str:
-    lead = f"{where.output} over {where.signal}{' simulated' if where.simulated else ''}: "
-    known = [row for row in where.flow if math.isfinite(_z(row)) and row.before_stderr > 0.0]
-    if not known:
-        return f"{lead}too few visits to tell a mean."
-    top = max(known, key=lambda row: abs(_z(row)))
-    if abs(_z(top)) < CLEAR_Z:
-        return f"{lead}no mean residual beyond {CLEAR_Z:.0f} standard errors."
-    size = abs(top.before_mean)
-    scale = scale_of(d.model.outputs[where.output], [size])
-    units = {**d.model.outputs, **d.model.inputs}
-    over = scale_of(units[where.signal], [row.at for row in where.flow])
-    mean = round_to_error(scale.factor * top.before_mean, scale.factor * top.before_stderr)
-    if scale.unit:
-        mean = f"({mean}){'·' if scale.unit.startswith('10') else ' '}{scale.unit}"
-    beyond = sum(abs(_z(row)) >= CLEAR_Z for row in known)
-    return (
-        f"{lead}the mean residual is beyond {CLEAR_Z:.0f} standard errors in {beyond} of "
-        f"{len(where.flow)} ranges, most clearly at {over.text(top.at)}: {mean}."
-    )
-
-
-def _z(row: SignalRow) -> float:
-    return row.before_mean / row.before_stderr if row.before_stderr > 0.0 else math.nan
 
 
 def rounds_words(d: SystemDiagnosis) -> str:

@@ -3,113 +3,29 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable
 
 import numpy as np
 
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.search import Candidate, Round
-from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
 __all__ = [
-    "Scale",
     "added",
     "all_runs",
     "candidates_shown",
     "fate_of",
-    "scale_of",
     "split_of",
     "telling_run",
     "telling_stretch",
-    "typical",
 ]
 
-# Symbols that take a prefix; what stands behind a stroke or a dot stays as it is.
-PREFIXED = frozenset(
-    ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")
-)
-# Below these a number is given in thousandths, millionths, … of its unit.
-STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
-# Of units that take no prefix: smaller numbers read badly as decimals.
-PLAIN_BELOW = 1e-2
 # Candidates of a round that are drawn.
 MOST_SHOWN = 8
 # Periods and rows of a stretch that is drawn.
 PERIODS, FEWEST_ROWS, MOST_ROWS = 8.0, 150, 2000
 STARTS = 64
 MOST_SWINGS = 1e6
-
-
-class Scale:
-    """A factor to a unit that reads well.
-
-    Parameters
-    ----------
-    factor : float
-        Times a number in the model's unit.
-    unit : str
-        The unit then; empty for a pure number.
-    """
-
-    def __init__(self, factor: float, unit: str) -> None:
-        self.factor = factor
-        self.unit = "" if unit == "1" else unit
-
-    def text(self, value: float, digits: int = 3) -> str:
-        """Return a number of the model's unit in this one, with the unit.
-
-        Parameters
-        ----------
-        value : float
-            The number.
-        digits : int
-            Significant digits.
-        """
-        number = significant(value * self.factor, digits)
-        joined = "·" if self.unit.startswith("10") else " "
-        return f"{number}{joined}{self.unit}" if self.unit else number
-
-    @property
-    def bracketed(self) -> str:
-        """The unit in brackets, for axes and heads."""
-        return f"[{self.unit or '-'}]"
-
-
-def scale_of(unit: str, sizes: Iterable[float]) -> Scale:
-    """Return the unit in which numbers of some sizes read well.
-
-    Parameters
-    ----------
-    unit : str
-        As in the model.
-    sizes : iterable of float
-        Of the numbers; the largest finite one decides.
-    """
-    finite = [abs(size) for size in sizes if math.isfinite(size)]
-    largest = max(finite, default=1.0)
-    match = re.match(r"([^\W\d_]+)(?=$|/|·)", unit)
-    prefixed = match is not None and match.group(1) in PREFIXED
-    if not 0.0 < largest < (STEPS_DOWN[-1][0] if prefixed else PLAIN_BELOW):
-        return Scale(1.0, unit)
-    for below, factor, prefix, power in STEPS_DOWN:
-        if largest < below:
-            plain = power if unit == "1" else f"{power} {unit}"
-            return Scale(factor, f"{prefix}{unit}" if prefixed else plain)
-    return Scale(1.0, unit)
-
-
-def typical(sizes: Iterable[float]) -> float:
-    """Return the geometric mean of sizes that differ by much; 1 where none is known.
-
-    Parameters
-    ----------
-    sizes : iterable of float
-        Such as errors before and after.
-    """
-    known = [math.log(size) for size in sizes if math.isfinite(size) and size > 0.0]
-    return math.exp(sum(known) / len(known)) if known else 1.0
 
 
 def all_runs(d: SystemDiagnosis) -> tuple[CheckRun, ...]:

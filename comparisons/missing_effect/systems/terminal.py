@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.missing_effect.systems.shown import fate_of, scale_of
+import numpy as np
+
+from comparisons.missing_effect.scales import scale_of
+from comparisons.missing_effect.systems.shown import fate_of, telling_run
+from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import (
     number_words,
     plain_name,
     system_words,
 )
+from comparisons.missing_effect.text import ROWS_PRINTED, aligned, wrapped
+from comparisons.missing_effect.where_words import describe
 from surge_core.rounding import bracketed, log_units, significant
 
 if TYPE_CHECKING:
@@ -20,9 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["system_text"]
 
-WIDTH = 100
-# Of a long ranking the best are printed; --json holds all.
-ROWS_PRINTED = 8
 _LEFT = ("effect", "where it acts", "candidate", "fate", "parameter", "unit", "record", "output")
 
 
@@ -35,13 +36,14 @@ def system_text(d: SystemDiagnosis) -> str:
         The diagnosis.
     """
     parts = [
-        [f"VERDICT: {d.verdict}", *_wrapped(system_words(d))],
+        [f"VERDICT: {d.verdict}", *wrapped(system_words(d))],
         _effects(d),
         _parameters(d),
         _errors(d),
+        _where(d),
         _candidates(d),
         _untried(d),
-        [line for remark in d.remarks for line in _wrapped(remark)],
+        [line for remark in d.remarks for line in wrapped(remark)],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
@@ -54,11 +56,11 @@ def _effects(d: SystemDiagnosis) -> list[str]:
         first = ("a term without a name" if item.unnamed else plain_name(item.effect), item.label)
         numbers = [(n.name, number_words(n)) for n in item.numbers] or [("", "")]
         rows += [(*(first if i == 0 else ("", "")), *pair) for i, pair in enumerate(numbers)]
-    lines = ["What is missing", _aligned(rows)]
+    lines = ["What is missing", aligned(rows, _LEFT, "  ")]
     for item in d.missing:
-        lines += _wrapped(f"{item.label}: {item.equation}. {item.says}", "  ")
+        lines += wrapped(f"{item.label}: {item.equation}. {item.says}", "  ")
         if item.confirm:
-            lines += _wrapped(f"  It would be confirmed by {item.confirm}.", "  ")
+            lines += wrapped(f"  It would be confirmed by {item.confirm}.", "  ")
     return lines
 
 
@@ -73,10 +75,14 @@ def _parameters(d: SystemDiagnosis) -> list[str]:
             bracketed(row.after, row.after_stderr),
         )
         rows.append((row.name, before, after, row.unit, note))
-    lines = ["Parameters; errors in the last digits", _aligned(rows)] if d.parameters else []
+    lines = (
+        ["Parameters; errors in the last digits", aligned(rows, _LEFT, "  ")]
+        if d.parameters
+        else []
+    )
     if d.offsets:
         listed = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in d.offsets)
-        lines += _wrapped(
+        lines += wrapped(
             f"Inputs between samples: {d.after.structure.between}; timing offsets: {listed}."
         )
     return lines
@@ -99,7 +105,19 @@ def _errors(d: SystemDiagnosis) -> list[str]:
                     "check" if run.held_out else "fitted",
                 )
             )
-    return ["rms errors of simulations", _aligned(rows)]
+    return ["rms errors of simulations", aligned(rows, _LEFT, "  ")]
+
+
+def _where(d: SystemDiagnosis) -> list[str]:
+    run = telling_run(d)
+    if not np.all(np.isfinite(run.before)):
+        return []
+    lines = [f"Where the model and the measurement part, on {run.experiment.name}"]
+    for output in run.outputs:
+        where = where_of(run, d.missing, output=output, model=d.model)
+        for words in describe(where, two=bool(d.missing)):
+            lines += wrapped(f"  {words}", "    ")
+    return lines
 
 
 def _candidates(d: SystemDiagnosis) -> list[str]:
@@ -115,10 +133,10 @@ def _candidates(d: SystemDiagnosis) -> list[str]:
         more += max(len(step.candidates) - ROWS_PRINTED, 0)
     if len(rows) == 1:
         return []
-    lines = ["Who was tried", _aligned(rows)]
+    lines = ["Who was tried", aligned(rows, _LEFT, "  ")]
     if more:
         lines.append(f"and {more} more (--json holds all)")
-    lines += _wrapped(
+    lines += wrapped(
         "Promised: what a first-order test of the errors foretells; score, fitted, held out: gains "
         "in log-units of the fitted candidate; z of the held-out gain."
     )
@@ -131,26 +149,10 @@ def _untried(d: SystemDiagnosis) -> list[str]:
     listed = [
         line
         for name, why in d.unavailable.items()
-        for line in _wrapped(f"  {plain_name(name)}: {why}", "    ")
+        for line in wrapped(f"  {plain_name(name)}: {why}", "    ")
     ]
     return ["What these records cannot show", *listed]
 
 
 def _gain(gain: float) -> str:
     return log_units(gain, "–")
-
-
-def _aligned(lines: Sequence[tuple[str, ...]]) -> str:
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  "
-        + "  ".join(
-            cell.ljust(width) if head in _LEFT else cell.rjust(width)
-            for head, cell, width in zip(lines[0], line, widths, strict=True)
-        ).rstrip()
-        for line in lines
-    )
-
-
-def _wrapped(prose: str, later: str = "") -> list[str]:
-    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)

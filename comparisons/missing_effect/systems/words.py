@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.missing_effect.systems.shown import scale_of
+from comparisons.missing_effect.scales import scale_of
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ _LEADS = {
     "of the errors than chance does.",
     "unexplained_structure": "These records do not let say what is missing; the remarks tell why.",
 }
+# From this correlation on two numbers of an effect say little one by one.
+MUCH_CORRELATED = 0.9
 # Alias labels beyond these are given in the table and in the JSON.
 MOST_ALIASES = 4
 
@@ -70,7 +72,9 @@ def _effect_words(item: FoundEffect) -> str:
     name = "a term without a name" if item.unnamed else plain_name(item.effect)
     place = _place_words(item)
     first = f", {item.numbers[0].name} {number_words(item.numbers[0])}" if item.numbers else ""
-    return f"{name}{place}{first}"
+    rho = item.evidence.get("largest_correlation", 0.0)
+    together = f" (numbers that go together, correlation {rho:.2f})"
+    return f"{name}{place}{first}{together if abs(rho) > MUCH_CORRELATED else ''}"
 
 
 def _place_words(item: FoundEffect) -> str:

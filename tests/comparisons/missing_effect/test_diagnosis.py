@@ -107,7 +107,7 @@ def test_what_stands_in_no_catalogue_gets_no_firm_name(effect: str) -> None:
     assert d.verdict != "nothing_missing"
 
 
-@pytest.mark.parametrize("effect", ["hysteresis", "amplitude_dependent_lag"])
+@pytest.mark.parametrize("effect", ["hysteresis", "amplitude_dependent_lag", "sensitivity_drift"])
 def test_an_effect_taken_out_of_the_catalogue_is_not_called_by_another_name(effect: str) -> None:
     records = series_of(hidden(effect, **SHORT))
     d = diagnose(records, 3, catalogue=[e for e in CATALOGUE if e.name != effect])

@@ -15,12 +15,12 @@ from comparisons.missing_effect.document import diagnosis_document
 from comparisons.missing_effect.shown import where_of
 from surge_core.files import to_strict_json
 
-PANELS = ("time", "frequency", "flow", "phase", "regime")
+PANELS = ("time", "frequency", "flow")
 
 
 def document_of(verdict: str) -> dict[str, Any]:
     d = made_diagnosis(verdict)
-    written = to_strict_json(diagnosis_document(d, where_of(d, d.before)))
+    written = to_strict_json(diagnosis_document(d, where_of(d)))
     parsed: dict[str, Any] = json.loads(written, parse_constant=_refuse)
     return parsed
 

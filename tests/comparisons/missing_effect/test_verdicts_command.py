@@ -80,7 +80,7 @@ def test_a_verdict_is_printed_and_written(
         share = (before**2 - after**2) / (before**2 - floor**2)
         assert gap["shrink"] == pytest.approx(max(share, 0.0), abs=1e-3)
     assert {"before", "after", "by_alias"} <= set(document["time_constant_s"])
-    assert all(document["where"][name] for name in ("time", "frequency", "flow", "phase", "regime"))
+    assert all(document["where"][name] for name in ("time", "frequency", "flow"))
     assert all(set(row) >= CANDIDATE for row in document["candidates"] if row["fitted"])
     known = {row["name"] for row in document["candidates"]} | set(document["unavailable"])
     assert {effect.name for effect in CATALOGUE} <= known

@@ -11,6 +11,7 @@ import pytest
 from made_systems import made_diagnosis
 from matplotlib.colors import to_hex
 
+from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.systems.plots import (
     AFTER,
     BEFORE,
@@ -20,7 +21,6 @@ from comparisons.missing_effect.systems.plots import (
     draw_runs,
 )
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.systems.shown import scale_of
 
 
 def ran_away() -> SystemDiagnosis:

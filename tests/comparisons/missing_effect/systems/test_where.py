@@ -55,17 +55,17 @@ def test_a_quadratic_shows_over_the_signal_and_is_gone_after() -> None:
         check = parted(0.1 * CLEAN**2, white(seed))
         e = replace(check.experiment, channels={**check.experiment.channels, "y": CLEAN})
         where = where_of(replace(check, experiment=e, after=check.after), output="y")
-        assert where.simulated
+        assert where.of.simulated
         over_u = where_of(replace(check, experiment=e), (_effect_on("u"),), output="y")
-        assert over_u.signal == "u"
-        assert not over_u.simulated
+        assert over_u.of.signal == "u"
+        assert not over_u.of.simulated
         for row in where.flow:
-            beyond += abs(row.after_mean) > 3.0 * row.after_stderr
+            beyond += abs(row.after["any"].mean) > 3.0 * row.after["any"].stderr
             rows += 1
         # y = x + 0.1 x² for the planted x of each range.
         at = np.array([row.at for row in where.flow])
         x = (np.sqrt(1.0 + 0.4 * at) - 1.0) / 0.2
-        mean = np.array([row.before_mean for row in where.flow])
+        mean = np.array([row.before["any"].mean for row in where.flow])
         assert mean == pytest.approx(0.1 * x**2, abs=0.015)
     assert beyond < 0.04 * rows
 
@@ -75,7 +75,7 @@ def test_noise_alone_gives_no_slope_over_the_own_output() -> None:
     for seed in range(20):
         check = parted(np.zeros(N), white(seed, 1.0))
         where = where_of(check)
-        z += [row.before_mean / row.before_stderr for row in where.flow]
+        z += [row.before["any"].mean / row.before["any"].stderr for row in where.flow]
         residual = (check.measured - check.before)[:, 0]
         # Over the measured output the same residual has a slope that is anything but chance.
         assert np.corrcoef(residual, check.measured[:, 0])[0, 1] > 0.4
@@ -90,8 +90,9 @@ def test_the_standard_error_knows_that_neighbours_go_together() -> None:
     for seed in range(20):
         slow = lfilter([1.0], [1.0, -0.9], white(seed))
         where = where_of(parted(np.zeros(N), slow))
-        z += [row.after_mean / row.after_stderr for row in where.flow]
-        naive += [row.after_mean / (np.std(slow) / math.sqrt(row.n)) for row in where.flow]
+        z += [row.after["any"].mean / row.after["any"].stderr for row in where.flow]
+        cells = [row.after["any"] for row in where.flow]
+        naive += [cell.mean / (np.std(slow) / math.sqrt(cell.n)) for cell in cells]
     assert 0.8 < np.std(z) < 1.5
     assert np.std(naive) > 1.5 * np.std(z)
 
@@ -100,17 +101,18 @@ def test_a_friction_parts_the_two_ways() -> None:
     friction = 0.2 * np.sign(np.gradient(CLEAN))
     where = where_of(parted(friction, white(5)), (_effect_on("none"),))
     inner = where.flow[4:-4]
-    assert [row.before_rising for row in inner] == pytest.approx([0.2] * len(inner), abs=0.03)
-    assert [row.before_falling for row in inner] == pytest.approx([-0.2] * len(inner), abs=0.03)
-    assert max(abs(row.after_rising) for row in inner) < 0.01
+    for way, size in (("rising", 0.2), ("falling", -0.2)):
+        found = [row.before[way].mean for row in inner]
+        assert found == pytest.approx([size] * len(inner), abs=0.03)
+    assert max(abs(row.after["rising"].mean) for row in inner) < 0.01
 
 
 def test_ranges_lie_on_both_sides_and_hold_every_row() -> None:
     rows = where_of(parted(white(6), white(7), settle=100)).flow
     assert 15 <= len(rows) <= 20
     assert rows[0].high < 0.0 < rows[-1].low
-    assert sum(row.n for row in rows) == N - 100
-    assert min(row.n for row in rows) >= 8
+    assert sum(row.after["any"].n for row in rows) == N - 100
+    assert min(row.after["any"].n for row in rows) >= 8
     assert all(row.low <= row.at <= row.high for row in rows)
 
 
@@ -152,7 +154,7 @@ def test_rows_without_a_reading_are_left_out() -> None:
     measured[2000:2400] = np.nan
     where = where_of(replace(quadratic, measured=measured))
     assert sum(math.isnan(row.before_rms) for row in where.time) == 2
-    assert sum(row.n for row in where.flow) == np.count_nonzero(np.isfinite(measured))
+    assert sum(row.after["any"].n for row in where.flow) == np.count_nonzero(np.isfinite(measured))
     assert all(math.isfinite(row.before_psd) for row in where.frequency)
-    assert max(abs(row.after_mean) / row.after_stderr for row in where.flow) < 4.5
+    assert max(abs(row.after["any"].mean) / row.after["any"].stderr for row in where.flow) < 4.5
     json.dumps(where.to_json(), allow_nan=False)
