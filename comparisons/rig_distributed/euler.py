@@ -46,7 +46,7 @@ Constants = _named_tuple(
 OUTPUTS = (
     "phi", "psi_p", "psi_p_lagged", "psi_p_qs", "psi", "psi_qs", "amplitude", "in_stall",
     "throttle", "W25", "P25", "T25", "W31", "P31", "T31", "W_in", "W_out", "mass", "energy",
-    "power",
+    "power", "phi31",
 )  # fmt: skip
 # The machine's own states, and what it remembers.
 PSI_P, PSI, CELL, THROTTLE = range(4)
@@ -150,6 +150,7 @@ def _rates(
     out[12], out[13], out[14] = prim[3, back], p31, t31
     out[15], out[16] = path[0, 0] * flux[0, 0], path[0, n] * flux[0, n]
     out[17], out[18] = np.sum(cells[0] * path[1, :n]), np.sum(cells[2] * path[1, :n])
+    out[20] = prim[1, back] / c.rotor_velocity_m_s
     out[19] = np.sum(power) + path[0, 0] * flux[2, 0] - path[0, n] * flux[2, n]
 
 
@@ -162,7 +163,7 @@ def integrate(
 
     ``path`` has the areas of the n + 1 faces, the volumes of the n cells and their friction.
     """
-    n_out = 20
+    n_out = 21
     rows, scratch = np.empty((n_rows, n_out)), np.empty(n_out)
     work = np.zeros((10, cells.shape[1] + 1))
     k1, k2, m1, m2 = np.empty_like(cells), np.empty_like(cells), np.empty(4), np.empty(4)

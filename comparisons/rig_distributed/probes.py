@@ -53,7 +53,8 @@ def local_flow(
     reach = share * machine.cell_reach * run["amplitude"]
     reach = reach * (machine.cell_frac_hub if immersion == "hub" else 1.0)
     side = share * (1.0 if immersion == "hub" else -1.0)
-    phi = run[f"phi{plane}"] + reach * np.sin(angle) + side * hub_tip_shift(machine, run["phi25"])
+    phi = run["phi" if plane == 25 else "phi31"] + reach * np.sin(angle)
+    phi = phi + side * hub_tip_shift(machine, run["phi"])
     velocity = machine.rotor_velocity_m_s
     ripple_pa = total_pa / (R * total_k) * velocity**2 * machine.cell_turn * reach * np.cos(angle)
     return mach_of_velocity(phi * velocity, total_k), total_pa + ripple_pa

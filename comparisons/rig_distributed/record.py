@@ -93,7 +93,7 @@ def simulate(
     machine = machine if machine is not None else Machine()
     fitted = instruments if instruments is not None else Instruments()
     n_rows = round(duration_s * fitted.rate_hz) * round(PLANT_HZ / fitted.rate_hz) + 1
-    run = _with_plane_flows(machine, run_plant(machine, n_rows=n_rows))
+    run = run_plant(machine, n_rows=n_rows)
     rng = np.random.default_rng(seed)
     reading = near_stall_reading(run, fitted, rng)
     channels = read_rakes(machine, run, fitted, rng)
@@ -158,17 +158,6 @@ def draw_record(seed: int, folder: str | Path) -> None:
         A folder that does not exist yet, or an empty one.
     """
     write_run(draw_run(seed), folder)
-
-
-def _with_plane_flows(machine: Machine, run: PlantRun) -> PlantRun:
-    """Add φ of each plane: C_z/U of the flow there."""
-    # Static state at plane 31 from flow and total state, by the fixed point of M = q (1 + M²/5)³.
-    share = run["W31"] / machine.exit_area_m2 * np.sqrt(R * run["T31"] / GAMMA) / run["P31"]
-    mach = share
-    for _ in range(100):
-        mach = share * (1.0 + 0.2 * mach**2) ** 3
-    speed = mach * np.sqrt(GAMMA * R * run["T31"] / (1.0 + 0.2 * mach**2))
-    return {**run, "phi25": run["phi"], "phi31": speed / machine.rotor_velocity_m_s}
 
 
 def _truth(machine: Machine, run: PlantRun, fitted: Instruments) -> dict[str, FloatArray]:

@@ -31,7 +31,7 @@ def test_in_equilibrium_no_part_of_the_pressure_is_in_phase_with_the_cell(phi: f
 @pytest.mark.parametrize("phi", FLOWS)
 def test_the_amplitude_of_the_loop_comes_to_its_equilibrium(phi: float) -> None:
     c = constants(MACHINE, lay_out(MACHINE), 0.1, 400.0)
-    own, rates, out = np.array([2.0, 3.0, 0.02, 1.0]), np.empty(4), np.empty(20)
+    own, rates, out = np.array([2.0, 3.0, 0.02, 1.0]), np.empty(4), np.empty(21)
     step_s = 0.02 / growth_per_s(MACHINE)
     for _ in range(4000):
         _machine(c, 0.0, phi, own, 0.0, rates, out)
@@ -43,7 +43,7 @@ def test_the_amplitude_of_the_loop_comes_to_its_equilibrium(phi: float) -> None:
 
 def test_the_cell_grows_and_decays_at_the_rate_of_the_linear_mode() -> None:
     c = constants(MACHINE, lay_out(MACHINE), 0.1, 400.0)
-    rates, out = np.empty(4), np.empty(20)
+    rates, out = np.empty(4), np.empty(21)
     small = np.array([2.0, 3.0, 1e-6, 1.0])
     for y, expected in ((0.0, 0.5), (1.0, 0.0), (1.5, -0.625)):
         _machine(c, 0.0, MACHINE.valley + (1.0 + y) * MACHINE.span, small, 0.0, rates, out)
