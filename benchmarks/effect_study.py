@@ -11,6 +11,7 @@ fitted again. The in-stall flag is in the records of even seeds. Parts:
     effects   15 effects, at each strength
     nulls     nothing missing; white, AR(1), Student, outliers, noise on the flow of 1 and 3 %
     outside   effects that no catalogue holds: no name is the right answer
+    without   15 effects, each with its own name taken out of the catalogue
     pairs     two effects at once, each of strength 2
     speed     seconds by length of the records
     pysindy   the published recipe alone, on the tests of effects and nulls
@@ -48,7 +49,7 @@ from comparisons.rig.coefficient_tests import (
     simulate_test,
 )
 
-PARTS = ("effects", "nulls", "outside", "pairs", "speed")
+PARTS = ("effects", "nulls", "outside", "without", "pairs", "speed")
 STRENGTHS = (0.5, 1.5, 3.0)
 PAIR_STRENGTH = 2.0
 DEGREE = 3
@@ -101,9 +102,9 @@ class Case:
         return replace(test, records=unmarked)
 
 
-def diagnosed(test: CoefficientTest) -> Row:
+def diagnosed(test: CoefficientTest, unknown: str = "") -> Row:
     """Ask the diagnosis what is missing; all that the study knows of its interface is here."""
-    from comparisons.missing_effect import diagnose
+    from comparisons.missing_effect import CATALOGUE, diagnose
 
     records = [
         CoefficientSeries(
@@ -119,7 +120,8 @@ def diagnosed(test: CoefficientTest) -> Row:
         for number, one in enumerate(test.records, start=1)
     ]
     begun = time.process_time()
-    found = diagnose(records, degree=DEGREE)
+    names = [effect for effect in CATALOGUE if effect.name != unknown]
+    found = diagnose(records, degree=DEGREE, catalogue=names)
     seconds = time.process_time() - begun
     return {
         "verdict": str(found.verdict),
@@ -174,7 +176,7 @@ def try_case(case: Case, *, diagnosis: bool, pysindy: bool) -> Row:
         }
         if diagnosis:
             try:
-                row |= diagnosed(test)
+                row |= diagnosed(test, case.planted[0] if case.kind == "outside" else "")
             except Exception as error:
                 # One test that breaks the diagnosis is a test lost, not the end of the study.
                 row |= {"verdict": "", "error": f"{type(error).__name__}: {error}"}
@@ -204,6 +206,11 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
         cases += [
             Case("outside", (e,), s, seed) for e in OUTSIDE for s in options.strengths
             for seed in seeds
+        ]  # fmt: skip
+    if "without" in parts:
+        cases += [
+            Case("outside", (e,), s, seed) for e in options.effects or EFFECTS
+            for s in options.strengths for seed in seeds
         ]  # fmt: skip
     if "pairs" in parts:
         cases += [Case("pair", pair, PAIR_STRENGTH, seed) for pair in PAIRS for seed in seeds]

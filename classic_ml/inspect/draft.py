@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from classic_ml.description import (
     Compressor,
@@ -30,9 +32,31 @@ _HEAD = """\
 # A column without a unit is of this kind by its name: P25_A, PT31 B, TC 3.
 _NAMED = re.compile(r"(?P<letter>[pt])[a-z]{0,2}[ _-]?\d", re.IGNORECASE)
 _KINDS = {"p": "pressure", "t": "temperature"}
+# Where a probe is, by the parts of its name: whole words, or the codes TF, TA, HF and HA.
+_PLACES: dict[str, dict[str, Any]] = {
+    "25": {"plane": 25},
+    "31": {"plane": 31},
+    "tip": {"immersion": "tip"},
+    "hub": {"immersion": "hub"},
+    "forward": {"facing": "forward"},
+    "fwd": {"facing": "forward"},
+    "for": {"facing": "forward"},
+    "aft": {"facing": "aft"},
+    "tf": {"immersion": "tip", "facing": "forward"},
+    "ta": {"immersion": "tip", "facing": "aft"},
+    "hf": {"immersion": "hub", "facing": "forward"},
+    "ha": {"immersion": "hub", "facing": "aft"},
+}
+# What probes at one plane and immersion share, and what thermocouples do.
+_SHARED = {
+    "pressure": ("probe_slope", "probe_offset"),
+    "temperature": ("recovery_factor", "time_constant_s"),
+}
 
 
-def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
+def draft_test_toml(
+    inspection: Inspection, *, group: str | None = None, units: Sequence[str] = ()
+) -> str:
     """Return a commented test.toml with the channels of a file.
 
     Parameters
@@ -41,6 +65,8 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
         What the file holds.
     group : str, optional
         The group that was looked into.
+    units : sequence of str
+        Of the columns for which the file states none: one of pressure, one of temperature.
 
     Returns
     -------
@@ -49,6 +75,8 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
     """
     clock = inspection.clock
     channels = [c for c in inspection.channels if clock is None or c.name != clock.name]
+    assumed = {kind_of_unit(unit): unit for unit in units}
+    channels = [_with_unit(channel, assumed) for channel in channels]
     models = {channel.name: _model(channel) for channel in channels}
     others = [channel for channel in channels if models[channel.name] is None]
     known = [f"name = {_text(Path(inspection.source).stem)}"]
@@ -66,10 +94,13 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
     if CountChannel in models.values():
         tables.append(_table("adc", Converter))
     taken: set[str] = set()
+    shared: dict[str, str] = {}
+    described = []
     for channel in channels:
         model = models[channel.name]
         if model is not None:
-            tables.append(_channel(channel, model, taken))
+            described.append(_channel(channel, model, taken, shared))
+    tables += [*shared.values(), *described]
     if others:
         tables.append(
             "# Columns that are no pressure and no temperature by unit or name: describe them as "
@@ -78,12 +109,18 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
     return "\n".join(tables)
 
 
-def _table(path: str, model: type[Table], known: list[str] | None = None) -> str:
+def _table(
+    path: str,
+    model: type[Table],
+    known: Sequence[str] = (),
+    keys: Collection[str] | None = None,
+) -> str:
     """Return a table of TOML: what is known, then in comments the keys that it must have beside."""
-    lines = [f"[{path}]", *(known or [])]
+    lines = [f"[{path}]", *known]
     stated = {line.partition(" = ")[0] for line in lines}
     for key, field in model.model_fields.items():
-        if key not in stated and field.is_required():
+        wanted = keys is None or key in keys
+        if wanted and key not in stated and field.is_required():
             blank = f"# {key} ="
             lines.append(f"{blank:<32s}# {field.description}" if field.description else blank)
     return "\n".join(lines) + "\n"
@@ -115,8 +152,35 @@ def _model(channel: ChannelFacts) -> type[Table] | None:
     return models.get(kind)
 
 
-def _channel(channel: ChannelFacts, model: type[Table], taken: set[str]) -> str:
-    """Return the table of a channel, under a key that is not taken yet."""
+def _with_unit(channel: ChannelFacts, assumed: Mapping[str, str]) -> ChannelFacts:
+    """Return a channel with the unit that is assumed for its kind, where the file states none."""
+    named = _NAMED.match(channel.name)
+    if channel.unit or named is None:
+        return channel
+    return replace(channel, unit=assumed.get(_KINDS[named["letter"].lower()], ""))
+
+
+def _place(name: str) -> tuple[dict[str, Any], str]:
+    """Return what a name says of a probe's place, and the pattern of its plane and immersion."""
+    place: dict[str, Any] = {}
+    pattern = "*"
+    for part in re.findall(r"[A-Za-z]+|[0-9]+", name):
+        found = _PLACES.get(part.lower(), {})
+        if not found and place and "rake" not in place and re.fullmatch("[A-Za-z]", part):
+            found = {"rake": part}
+        if "plane" in found or "immersion" in found:
+            pattern += f"{part}*"
+        place = {**found, **place}
+    return place, pattern
+
+
+def _channel(
+    channel: ChannelFacts, model: type[Table], taken: set[str], shared: dict[str, str]
+) -> str:
+    """Return the table of a channel, under a key that is not taken yet.
+
+    What it shares with others is put into a table of ``[defaults]`` instead, once.
+    """
     bare = re.sub(r"[(\[{][^()\[\]{}]*[)\]}]\s*$", "", channel.name).rstrip()
     key = re.sub(r"[^A-Za-z0-9_-]+", "_", bare).strip("_") or "channel"
     while key in taken:
@@ -125,11 +189,23 @@ def _channel(channel: ChannelFacts, model: type[Table], taken: set[str]) -> str:
     known = [f"# {_described(channel)}"]
     if key != channel.name:
         known.append(f"column = {_text(channel.name)}")
-    known.append(f'kind = "{"temperature" if model is TemperatureChannel else "pressure"}"')
+    kind = "temperature" if model is TemperatureChannel else "pressure"
+    known.append(f'kind = "{kind}"')
     unit = COUNT if model is CountChannel else channel.unit
     if unit:
         known.append(f"unit = {_text(unit)}")
-    table = _table(f"channels.{key}", model, known)
+    place, pattern = _place(key)
+    known += [
+        f"{name} = {place[name] if name == 'plane' else _text(place[name])}"
+        for name in model.model_fields
+        if name in place
+    ]
+    common, keys = _SHARED[kind], None
+    if kind == "temperature" or {"plane", "immersion"} <= place.keys():
+        head = f"defaults.{kind if kind == 'temperature' else _text(pattern)}"
+        shared.setdefault(head, _table(head, model, keys=common))
+        keys = [name for name in model.model_fields if name not in common]
+    table = _table(f"channels.{key}", model, known, keys)
     if model is PressureChannel and split_reference(unit)[1] != "absolute":
         table += "# reference_Pa =                # what a reading of 0 stands for; 0 if absolute\n"
     return table

@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
+    FIGURES,
     HOLD,
     JSON,
     REPORT,
     SERIES,
     Command,
     argument,
+    check_folder,
     command_line,
     drawing,
     fitting,
     read_records,
     reads,
+    take_away,
     time_constant,
     whole,
     write_asked,
@@ -38,27 +41,42 @@ __all__ = ["COMMAND", "comparison_lines", "models_to_save"]
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
+    from comparisons.harness.answer import answer_of
     from comparisons.harness.saved_models import save_models
+    from comparisons.page.html import render_page
     from comparisons.show.json_output import comparison_document
-    from comparisons.show.report import ReportSection, render_report
+    from comparisons.show.report import ReportSection, report_pages
 
+    if given.figures:
+        check_folder(given.figures)
     records = read_records(given.series)
     comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
 
+    stated = None if _by_rise(records) else work
+    answer = answer_of(comparison)
+    section = ReportSection(title=title, comparison=comparison, work=stated, answer=answer)
+    pages = report_pages([section]) if given.report or given.figures else []
+
     def page() -> str:
-        return render_report(
-            [ReportSection(title=title, comparison=comparison, work=work)],
-            title=f"Comparison on {title}",
-            command=command_line(),
-            progress=drawing,
-        )
+        head = f"Comparison on {title}"
+        return render_page(pages, title=head, command=command_line(), progress=drawing)
 
     written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
     if given.save:
-        save_models(models_to_save(comparison, work), given.save)
+        save_models(models_to_save(comparison, work), given.save, comparison.recommended)
         written.append(f"models: {given.save}")
-    return *comparison_lines(comparison, work), *written
+    written += take_away(given.figures, pages, answer)
+    lines = [str(answer), "", *comparison_lines(comparison, stated)]
+    return *lines, *_by_rise(records), *written
+
+
+def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
+    """Return the sentence that no ψ_QS is stated; none where ψ is no worse than ψ'."""
+    from comparisons.harness.cautions import psi_by_rise
+
+    found = [psi_by_rise(record.history) for record in records if record.psi is not None]
+    return list(dict.fromkeys(f"{caution.text}\n" for caution in found if caution is not None))
 
 
 def comparison_lines(comparison: Comparison, work: Comparison | None) -> Iterator[str]:
@@ -119,6 +137,8 @@ def _compare(
     )
     if any(record.psi is None for record in records):
         return comparison, None
+    if _by_rise(records) and not (given.json or given.save):
+        return comparison, None
     try:
         return comparison, compare_records(records, target="psi", **options)
     except InputError as error:
@@ -169,6 +189,7 @@ COMMAND = Command(
         SERIES,
         JSON,
         REPORT,
+        FIGURES,
         writes("--save", metavar="MODEL", help="save the fitted models"),
         reads(
             "--model",

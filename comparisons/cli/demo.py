@@ -7,16 +7,17 @@ import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import Command, argument, command_line, drawing, seed
-from surge_core.errors import InputError
+from comparisons.cli.shared import Command, argument, check_folder, command_line, drawing, seed
 from surge_core.files import write_whole
 from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
+    from comparisons.missing_effect import Diagnosis
+    from comparisons.page.blocks import Part
     from comparisons.results import Comparison, Truth
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
@@ -37,7 +38,8 @@ TRUTH_TO_PHI = 0.24
 WORK_PHI = (0.02, 0.1)
 PICTURE = "missing_effect.png"
 PICTURE_DPI = 110
-STEPS = 11
+# What each stage lasts on two cores, in seconds; only the ratios matter.
+STEPS_S = (1.0, 2.0, 5.0, 9.0, 2.0, 2.0, 5.0, 3.0, 2.0, 9.0, 5.0)
 
 
 @dataclass
@@ -57,59 +59,56 @@ class _Demo:
     folder: Path
     seed: int
     begin: Callable[[str], None]
-    comparisons: list[tuple[Comparison, Comparison | None]] = field(default_factory=list)
+    answers: list[str] = field(default_factory=list)
     sections: list[ReportSection] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     """Run the whole way on simulated tests, and write the report."""
-    from comparisons.cli.compare import comparison_lines
-
     folder = given.out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError(str(folder), expected="a folder to write to", found="a file") from None
-    with shown_steps(STEPS, lines=True) as begin:
+    check_folder(folder).mkdir(parents=True, exist_ok=True)
+    with shown_steps(STEPS_S, lines=True) as begin:
         begin("loading; the first run compiles for some seconds")
         from comparisons.show.report import render_report
 
         demo = _Demo(folder, given.seed, begin)
-        (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
-        _missing(demo, untouched, tau_s)
+        for case, title in FITTED:
+            _fitted(demo, case, title)
+        _hidden(demo)
         begin("drawing the report")
         title = "A simulated surge test, end to end"
         page = folder / "report.html"
         report = render_report(demo.sections, title=title, command=command_line(), progress=drawing)
         write_whole(page, report)
-    for comparison, work in demo.comparisons:
-        yield from comparison_lines(comparison, work)
+    yield from (f"{answer}\n" for answer in demo.answers)
     yield from demo.lines
     yield f"report: {page}"
 
 
-def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, float]:
-    """Compare the estimators on one test; return its series and the true τ, in seconds."""
+def _fitted(demo: _Demo, case: str, title: str) -> None:
+    """Compare the estimators on one test, and look for what is missing in the first."""
+    from comparisons.analysis import missing_words
     from comparisons.cli.compare import models_to_save
+    from comparisons.harness.answer import answer_of
     from comparisons.harness.compare import compare_records
     from comparisons.harness.saved_models import save_models
+    from comparisons.page.blocks import Part
     from comparisons.show.report import ReportSection
 
     demo.begin(f"{title}: simulating the test and reducing its counts")
     rig, reduction = _test(demo, case, demo.seed)
     demo.begin(f"{title}: fitting the estimators of ψ'")
     series = reduction.series
-    comparison, work = compare_records([series]), None
-    save_models(models_to_save(comparison), demo.folder / f"models_{case}.json")
+    comparison = compare_records([series])
+    models = demo.folder / f"models_{case}.json"
+    save_models(models_to_save(comparison), models, comparison.recommended)
     truth = _truth(rig, "psi_p")
     _against_truth(demo, title, comparison, truth)
-    work_truth, validation = None, []
+    validation = []
     if series.psi is not None:
-        demo.begin(f"{title}: fitting the estimators of ψ, and ψ_QS from the power balance")
-        work, work_truth = compare_records([series], target="psi"), _truth(rig, "psi")
-        _against_truth(demo, title, work, work_truth)
-        words = _power_balance(demo, case, work_truth)
+        demo.begin(f"{title}: fitting ψ_QS to the power balance (`work`)")
+        words = _power_balance(demo, case, _truth(rig, "psi"))
         demo.lines.append(f"{title}, ψ_QS from the power balance (`work`): {words}")
     if case == FITTED[0][0]:
         from comparisons.harness.reconstruction import reconstruct_record
@@ -117,47 +116,60 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
         demo.begin(f"{title}: running the models over a second instability")
         other = _test(demo, VALIDATION, demo.seed + 1)[1].series
         validation = [reconstruct_record(result.model, other) for result in comparison.results]
-    demo.comparisons.append((comparison, work))
+    extra: tuple[Part, ...] = ()
+    said: dict[str, Any] = {}
+    if case == FITTED[0][0]:
+        demo.begin("looking for what is missing in this record")
+        d, parts = _diagnosed(demo, series, rig)
+        extra = (Part.together("Evidence: what is missing", parts),)
+        said = {"verdict": d.verdict, "missing": missing_words(d)}
+    answer = answer_of(comparison, test=reduction.test.name, **said)
+    demo.answers.append(str(answer))
     demo.sections.append(
         ReportSection(
             title=f"Simulated test at {title}",
             comparison=comparison,
-            work=work,
             reduction=reduction,
             truth=truth,
-            work_truth=work_truth,
             validation=tuple(validation),
+            extra=extra,
+            answer=answer,
         )
     )
-    return series, float(rig.truth_parameters["tau_s"])
 
 
-def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> None:
-    """Diagnose a record in which an effect is hidden, and the same one without it."""
-    from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.shown import where_of
+def _hidden(demo: _Demo) -> None:
+    """Diagnose a record in which an effect is hidden."""
     from comparisons.page.blocks import Picture
-    from comparisons.show.diagnose_report import diagnosis_parts
     from comparisons.show.report import ReportSection
 
     demo.begin("hiding an effect in the raw counts of a further test")
-    hidden = _test(demo, FITTED[0][0], demo.seed, hide=HIDDEN)[1].series
+    rig, reduction = _test(demo, FITTED[0][0], demo.seed, hide=HIDDEN)
     demo.lines.append(f"What is missing: {HIDDEN} hidden in the raw counts (seed {demo.seed})")
-    for what, record in (("with it", hidden), ("without it", untouched)):
-        demo.begin(f"looking for what is missing in the record {what}")
-        d = diagnose([record])
-        parts = diagnosis_parts(d, where_of(d))
-        if record is hidden:
-            picture = next(b for part in parts for b in part.blocks if isinstance(b, Picture))
-            picture.figure.savefig(demo.folder / PICTURE, dpi=PICTURE_DPI)
-        title = f"What is missing: the 98.5 % test {what}"
-        demo.sections.append(ReportSection(title=title, extra=parts))
-        named = "; ".join(" or ".join(item.alias_set) for item in d.missing) or "nothing"
-        demo.lines.append(
-            f"  {what:11s} {d.verdict}: {named}; τ {1e3 * d.tau_before_s:.1f} -> "
-            f"{1e3 * d.tau_after_s:.1f} ms for {1e3 * true_tau_s:.0f}, held-out rms "
-            f"{d.gap.before_rms:.4f} -> {d.gap.after_rms:.4f}"
-        )
+    demo.begin("looking for what is missing in it")
+    _, parts = _diagnosed(demo, reduction.series, rig)
+    picture = next(b for part in parts for b in part.blocks if isinstance(b, Picture))
+    picture.figure.savefig(demo.folder / PICTURE, dpi=PICTURE_DPI)
+    title = f"The 98.5 % test with {HIDDEN} hidden in its counts"
+    demo.sections.append(ReportSection(title=title, extra=parts))
+
+
+def _diagnosed(
+    demo: _Demo, series: CoefficientSeries, rig: RigRun
+) -> tuple[Diagnosis, tuple[Part, ...]]:
+    """Diagnose a record; return the diagnosis and what the page says of it."""
+    from comparisons.missing_effect import diagnose
+    from comparisons.missing_effect.shown import where_of
+    from comparisons.show.diagnose_report import diagnosis_parts
+
+    d = diagnose([series])
+    named = "; ".join(" or ".join(item.alias_set) for item in d.missing) or "nothing"
+    demo.lines.append(
+        f"  {Path(series.source).parent.name}: {d.verdict}: {named}; τ {1e3 * d.tau_before_s:.1f} "
+        f"-> {1e3 * d.tau_after_s:.1f} ms for {1e3 * float(rig.truth_parameters['tau_s']):.0f}, "
+        f"held-out rms {d.gap.before_rms:.4f} -> {d.gap.after_rms:.4f}"
+    )
+    return d, diagnosis_parts(d, where_of(d))
 
 
 def _test(demo: _Demo, case: str, seed: int, hide: str | None = None) -> tuple[RigRun, Reduction]:
@@ -228,7 +240,7 @@ COMMAND = Command(
     "demo",
     help="simulate a surge test, reduce it, fit both estimators, write a report",
     description="Simulate an E3-like surge test at 98.5 % and 90 % speed, reduce the raw "
-    "counts, run the estimators on both coefficients and write one HTML report.",
+    "counts, run the estimators, look for a hidden effect and write one HTML report.",
     arguments=(
         argument("--out", type=Path, default=Path("demo"), help="folder (default: demo)"),
         # The second test has the next seed.

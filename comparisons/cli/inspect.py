@@ -31,7 +31,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     written = write_asked(
         given,
         json=lambda: inspect_document(inspection, match),
-        draft=lambda: draft_test_toml(inspection, group=given.group),
+        draft=lambda: draft_test_toml(inspection, group=given.group, units=given.units),
     )
     return ["\n\n".join([inspect_text(inspection, match), *written])]
 
@@ -53,6 +53,18 @@ def _check_options(given: argparse.Namespace) -> None:
         )
 
 
+def _units(text: str) -> tuple[str, ...]:
+    from classic_ml.units import kind_of_unit
+
+    units = tuple(part.strip() for part in text.split(","))
+    kinds = [kind_of_unit(unit) for unit in units]
+    if len(set(kinds)) < len(kinds) or not {"pressure", "temperature"}.issuperset(kinds):
+        raise argparse.ArgumentTypeError(
+            f"expected a unit of pressure and one of temperature, as psia,degF, found '{text}'"
+        )
+    return units
+
+
 COMMAND = Command(
     "inspect",
     help="show what is in a raw record or a series, and draft its test.toml",
@@ -69,6 +81,14 @@ COMMAND = Command(
             "--draft",
             metavar="TEST.toml",
             help="write a test.toml to begin with; a file that exists is left alone",
+        ),
+        argument(
+            "--units",
+            type=_units,
+            default=(),
+            metavar="UNIT,UNIT",
+            help="units of pressure and temperature, as psia,degF, that --draft writes for columns "
+            "without one",
         ),
         writes("--json", metavar="FILE", help="write the findings as JSON"),
     ),

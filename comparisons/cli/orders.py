@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,17 @@ from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.orders import OrderTable
+    from comparisons.results import Caution
 
 __all__ = ["COMMAND"]
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
+NO_TAU = (
+    "no τ of this table is to be quoted, that of the best row included: the pressures were "
+    "low-passed before the flow equation, which biases it by half and more. `sindy-surge compare` "
+    "states the τ to quote, from one free run through the unfiltered signals."
+)
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
@@ -44,37 +51,42 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         progress=lambda candidates: shown_over(candidates, unit="model", words="fitting"),
     )
     sources = [str(path) for path in given.series]
-    written = write_asked(given, json=lambda: _document(table, sources))
     caution = tau_caution([record.history for record in records])
-    return *_lines(table), *([f"caution: {caution.text}"] if caution else []), *written
+    written = write_asked(given, json=lambda: _document(table, sources, caution))
+    return *_lines(table, biased=caution is not None), *written
 
 
-def _lines(table: OrderTable) -> list[str]:
-    """Return the best rows as text, the recommended one marked."""
+def _lines(table: OrderTable, *, biased: bool) -> list[str]:
+    """Return the best rows as text, the recommended one marked unless its τ is biased."""
     from surge_core.rounding import round_to_error
 
     lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
     for row in table.rows[:ROWS_SHOWN]:
         tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
-        mark = "*" if row == table.recommended else " "
+        mark = "*" if row == table.recommended and not biased else " "
         lines.append(
             f"{mark}{row.name:27s}{row.bic:9.1f}{row.aicc:9.1f}{row.held_out_rms:10.4g}{tau:>14s}"
             f"  {'yes' if row.white else 'no':5s}  {row.state}"
         )
     if len(table.rows) > ROWS_SHOWN:
         lines.append(f"and {len(table.rows) - ROWS_SHOWN} more (--json holds all)")
-    lines.append(f"recommended: {table.recommended.name}: {table.reason}")
+    lead = "predicts these rows best" if biased else "recommended"
+    lines.append(f"{lead}: {table.recommended.name}: {table.reason}")
     if len(table.ties) > 1:
         lines.append("no worse within an error: " + "; ".join(row.name for row in table.ties[1:]))
+    if biased:
+        lines += textwrap.wrap(NO_TAU, 100)
     return lines
 
 
-def _document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
+def _document(table: OrderTable, sources: list[str], caution: Caution | None) -> dict[str, Any]:
     return {
         "schema": ORDERS_SCHEMA,
         "records": sources,
         "recommended": asdict(table.recommended),
         "reason": table.reason,
+        "quotable_tau": caution is None,
+        "cautions": [caution.text] if caution else [],
         "ties": [asdict(row) for row in table.ties],
         "rows": [asdict(row) for row in table.rows],
     }

@@ -21,6 +21,7 @@ from comparisons.cli import (
     reconstruct,
     reduce,
     reproduce,
+    run,
     simulate,
     structure,
     study,
@@ -41,6 +42,7 @@ LONGEST = 500
 # In the order of `--help`.
 COMMANDS = (
     demo.COMMAND,
+    run.COMMAND,
     simulate.COMMAND,
     inspect.COMMAND,
     reduce.COMMAND,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,9 +34,11 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import read_series
     from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import reconstruct_record
+    from comparisons.harness.saved_models import recommended_model
     from comparisons.show.table import reconstruction_table
 
     models = _chosen(load_any_models(given.model), given.estimator)
+    recommended = recommended_model(given.model)
     records = [read_series(path) for path in given.series]
     runs = [
         reconstruct_record(model, record)
@@ -58,10 +62,26 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     written = write_asked(
         given,
         out=runs[0].to_csv,
-        json=lambda: _document(runs),
+        json=lambda: _document(runs, recommended),
         report=lambda: _page(runs),
     )
-    return reconstruction_table(runs), *written
+    return reconstruction_table(runs), *_recommended_words(runs, recommended), *written
+
+
+def _recommended_words(runs: Sequence[Reconstruction], recommended: str | None) -> list[str]:
+    """Say which model to believe, and why another may have the least error."""
+    own = [run for run in runs if run.model.estimator == recommended]
+    if not own:
+        return []
+    least = min(runs, key=lambda run: run.score.rms if run.model.target == "psi_p" else math.inf)
+    words = f"recommended by compare: {recommended}, whose τ and curve are to be quoted"
+    if least.model.estimator != recommended:
+        words += (
+            f". That {least.model.estimator} has the least rms does not speak against it: the rows "
+            "scored here are low-passed, and the recommended model, fitted to unfiltered signals, "
+            "does not hold what the filter does to them"
+        )
+    return textwrap.wrap(f"{words}.", 100)
 
 
 def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
@@ -72,9 +92,12 @@ def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
     return {name: models[name]}
 
 
-def _document(runs: Sequence[Reconstruction]) -> dict[str, Any]:
-    reconstructions = [run.to_json() for run in runs]
-    return {"schema": "sindy-surge/reconstruct/1", "reconstructions": reconstructions}
+def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[str, Any]:
+    return {
+        "schema": "sindy-surge/reconstruct/1",
+        "recommended": recommended,
+        "reconstructions": [run.to_json() for run in runs],
+    }
 
 
 def _page(runs: Sequence[Reconstruction]) -> str:

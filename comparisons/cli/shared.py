@@ -17,8 +17,11 @@ from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
+    from comparisons.page.blocks import Part
+    from comparisons.results import Answer
 
 __all__ = [
+    "FIGURES",
     "HOLD",
     "JSON",
     "RAW",
@@ -27,6 +30,7 @@ __all__ = [
     "Argument",
     "Command",
     "argument",
+    "check_folder",
     "command_line",
     "drawing",
     "fitting",
@@ -34,8 +38,10 @@ __all__ = [
     "read_records",
     "reads",
     "seed",
+    "take_away",
     "time_constant",
     "whole",
+    "working",
     "write_asked",
     "writes",
 ]
@@ -208,6 +214,13 @@ JSON = writes("--json", metavar="FILE", help="write the numbers as JSON")
 REPORT = writes(
     "--report", metavar="FILE.html", suffixes=(".html", ".htm"), help="write the report"
 )
+FIGURES = argument(
+    "--figures",
+    type=Path,
+    metavar="DIR",
+    help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
+    "characteristic as a lookup table (CSV, JSON)",
+)
 HOLD = argument(
     "--hold",
     choices=("first", "zero"),
@@ -267,6 +280,50 @@ def write_asked(
     return [f"{LABELS.get(name, name)}: {path}" for name, path, _ in made]
 
 
+def check_folder(path: Path) -> Path:
+    """Return a folder that can be written to, which need not exist yet.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        When a file is in its place or above it.
+    """
+    nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise InputError(str(path), expected="a folder to write to", found="a file")
+    return path
+
+
+def take_away(
+    folder: Path | None, pages: Sequence[tuple[str, Sequence[Part]]], answer: Answer
+) -> list[str]:
+    """Write what a page shows as files where that was asked for, and return a line on it.
+
+    Parameters
+    ----------
+    folder : path or None
+        Where; nothing is written without it.
+    pages : sequence of (str, sequence of Part)
+        Sections of the page.
+    answer : Answer
+        Whose characteristic becomes a lookup table.
+    """
+    if folder is None:
+        return []
+    from comparisons.show.figures import write_curve, write_figures
+
+    n = write_figures(pages, folder)
+    if answer.curve is not None:
+        write_curve(answer.curve, folder)
+        n += 2
+    return [f"figures and tables: {folder} ({n} files)"]
+
+
 def command_line() -> str:
     """Return the command as it was typed, for reports."""
     return " ".join(["sindy-surge", *sys.argv[1:]])
@@ -281,6 +338,17 @@ def fitting(items: Iterable[Any]) -> Iterable[Any]:
         What is fitted.
     """
     return shown_over(items, unit="fit", words="fitting")
+
+
+def working(items: Iterable[Any]) -> Iterable[Any]:
+    """Show how far the passes of a step are, on a terminal only.
+
+    Parameters
+    ----------
+    items : iterable
+        What is worked through.
+    """
+    return shown_over(items, unit="pass")
 
 
 def drawing(items: Iterable[Any]) -> Iterable[Any]:

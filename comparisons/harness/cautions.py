@@ -17,6 +17,7 @@ from comparisons.results import Caution, EstimatorResult, FitRows
 __all__ = [
     "comparison_cautions",
     "filter_cautions",
+    "psi_by_rise",
     "spread_speeds",
     "tau_caution",
     "unknown_work",
@@ -103,6 +104,18 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
         if entry.step == "choose channels" and d.what.startswith("T31")
     ]
     return Caution.of("psi_unknown", why=why[0] + (f" ({'; '.join(lost)})" if lost else ""))
+
+
+def psi_by_rise(history: Sequence[LedgerEntry]) -> Caution | None:
+    """Say that the ψ of a record leads to a curve that is too high, where its ledger shows it.
+
+    Parameters
+    ----------
+    history : sequence of LedgerEntry
+        Ledger of a record.
+    """
+    forms = [e.parameters.get("form") for e in history if e.step == "work coefficient"]
+    return Caution("psi_by_rise") if "temperature-rise" in forms else None
 
 
 def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float]]:

@@ -169,7 +169,7 @@ def _run(
     errors = np.where(known, rows.measured - predicted, 0.0)
     return EstimatorResult(
         name=spec.name,
-        label=spec.label,
+        label=_label(spec, estimator),
         model=model,
         state=state,
         advice=advice,
@@ -186,6 +186,14 @@ def _run(
         remarks=tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
         extended=extended,
     )
+
+
+def _label(spec: EstimatorSpec, estimator: Any) -> str:
+    """Name an estimator of whole runs that had to take the rows by what it then is."""
+    if spec.fit_records is None or isinstance(estimator, WholeRunFit):
+        return spec.label
+    noise = getattr(estimator, "noise", None)
+    return spec.label if noise is None else f"{noise} on the rows"
 
 
 def _value(estimator: Any, spec: EstimatorSpec, rows: FitRows, hold: Hold) -> FittedLag:

@@ -25,6 +25,7 @@ __all__ = [
     "StandardError",
     "load_models",
     "read_models",
+    "recommended_model",
     "save_models",
     "write_models",
 ]
@@ -136,9 +137,15 @@ M = TypeVar("M", bound=SavedModel)
 
 class _Document(Saved, Generic[M]):
     models: dict[str, M] = Field(min_length=1, description="a table of models")
+    recommended: str | None = Field(default=None, description="the name of a model, or null")
 
 
-def write_models(models: Mapping[str, LagModel], path: str | Path, form: ModelFormat) -> None:
+def write_models(
+    models: Mapping[str, LagModel],
+    path: str | Path,
+    form: ModelFormat,
+    recommended: str | None = None,
+) -> None:
     """Write models as JSON that :func:`read_models` reads, whole or not at all.
 
     Parameters
@@ -149,9 +156,11 @@ def write_models(models: Mapping[str, LagModel], path: str | Path, form: ModelFo
         Target.
     form : ModelFormat
         What the file is.
+    recommended : str, optional
+        The model to believe.
     """
     tables = {name: model.to_json() for name, model in models.items()}
-    document = {"schema": form.schema, "models": tables}
+    document = {"schema": form.schema, "recommended": recommended, "models": tables}
     write_whole(Path(path), to_strict_json(document))
 
 
@@ -192,7 +201,21 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
     return validated(kinds, document, str(file)).models
 
 
-def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
+def recommended_model(path: str | Path) -> str | None:
+    """Return the name of the model of a file that `compare` recommended, where it did.
+
+    Parameters
+    ----------
+    path : str or path
+        A file that was read before.
+    """
+    name = json.loads(Path(path).read_text("utf-8")).get("recommended")
+    return name if isinstance(name, str) else None
+
+
+def save_models(
+    models: Mapping[str, FittedLag], path: str | Path, recommended: str | None = None
+) -> None:
     """Write fitted models as JSON, whole or not at all.
 
     Parameters
@@ -201,8 +224,10 @@ def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
         By estimator.
     path : str or path
         Target.
+    recommended : str, optional
+        The one that the comparison recommended.
     """
-    write_models(models, path, MODEL_FORMAT)
+    write_models(models, path, MODEL_FORMAT, recommended)
 
 
 def load_models(path: str | Path) -> dict[str, FittedLag]:

@@ -29,6 +29,8 @@ __all__ = ["concluded", "evidence_numbers"]
 
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
+# Share of its range that counts as at its bound.
+AT_BOUND = 1e-3
 
 AliasSets = Mapping[str, Sequence[Candidate]]
 
@@ -75,8 +77,11 @@ def concluded(
     after = on_all_rows(final.fit, final) if found else before
     values = fitted_parameters(after, final)
     sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
+    bounds = {e.name: (e.parameters[0].low, e.parameters[0].high) for e in found}
     unsure = {
-        name for name, size in sizes.items() if size < LEAST_SIZE or _unknown(values[name][0])
+        name
+        for name, size in sizes.items()
+        if size < LEAST_SIZE or _lost(values[name][0], bounds[name])
     }
     if verdict in ("named", "alias_set") and unsure:
         verdict = "provisional"
@@ -92,7 +97,9 @@ def concluded(
                 **({SIZE: sizes[effect.name]} if effect.name in sizes else {}),
                 **_correlation(effect, after, covariance),
             },
-            _doubt(values[effect.name][0]) if sizes.get(effect.name, 0.0) >= LEAST_SIZE else (),
+            _doubt(values[effect.name][0], bounds[effect.name])
+            if sizes.get(effect.name, 0.0) >= LEAST_SIZE
+            else (),
         )
         for effect in found
     )
@@ -123,23 +130,30 @@ def concluded(
     )
 
 
-def _doubt(amplitude: FittedParameter) -> tuple[str, ...]:
-    if not _unknown(amplitude):
-        return ()
-    size = abs(amplitude.value) / amplitude.stderr
+def _doubt(amplitude: FittedParameter, bounds: tuple[float, float]) -> tuple[str, ...]:
+    lost = _lost(amplitude, bounds)
     return (
-        f"{amplitude.name} is not distinguished from zero ({size:.1f} standard errors): "
-        "only what its numbers do together is known, which a simpler effect may do too",
+        (
+            f"{amplitude.name} {lost}: only what its numbers do together is known, which a simpler "
+            "effect may do too",
+        )
+        if lost
+        else ()
     )
 
 
-def _unknown(amplitude: FittedParameter) -> bool:
-    """Tell whether an effect's own amplitude is lost among its numbers.
+def _lost(amplitude: FittedParameter, bounds: tuple[float, float]) -> str:
+    """Say how an effect's own amplitude is lost among its numbers; empty where it is known.
 
     What all of them do together may be large all the same: a heating whose time is far longer than
     the records is a straight drift, and that is then not what its name says.
     """
-    return abs(amplitude.value) < LEAST_AMPLITUDE * amplitude.stderr
+    if abs(amplitude.value) < LEAST_AMPLITUDE * amplitude.stderr:
+        size = abs(amplitude.value) / amplitude.stderr
+        return f"is not distinguished from zero ({size:.1f} standard errors)"
+    low, high = bounds
+    at_bound = min(amplitude.value - low, high - amplitude.value) < AT_BOUND * (high - low)
+    return "stands at the bound of what is physical" if np.isfinite(high - low) and at_bound else ""
 
 
 def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:

@@ -16,6 +16,7 @@ from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import significant
+from surge_core.types import FloatArray
 
 __all__ = [
     "CORRELATION",
@@ -26,6 +27,7 @@ __all__ = [
     "FittedParameter",
     "Gap",
     "MissingEffect",
+    "ReverseLoss",
     "Untold",
 ]
 
@@ -128,6 +130,28 @@ class Absent:
 
 
 @dataclass(frozen=True)
+class ReverseLoss:
+    """What the lag model leaves in reversed flow, and the loss that explains it.
+
+    Parameters
+    ----------
+    squared : ndarray of shape (n,)
+        φ² of the reversed rows, averaged as ψ' is.
+    left : ndarray of shape (n,)
+        Measured minus simulated ψ' there.
+    size : float
+        c of the loss c φ².
+    share : float
+        Share of the squares of ``left`` that it explains.
+    """
+
+    squared: FloatArray
+    left: FloatArray
+    size: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Diagnosis(Displayed):
     """What a model of these records lacks.
 
@@ -162,6 +186,8 @@ class Diagnosis(Displayed):
         Effects that these records cannot show, and why.
     ripple : RippleLine, optional
         A second pattern of stall cells, on whole runs.
+    reverse_loss : ReverseLoss, optional
+        The loss in reversed flow where it acts, on whole runs.
     remarks : tuple of str
         What a reader should know beside it.
     untold : tuple of Untold
@@ -189,6 +215,7 @@ class Diagnosis(Displayed):
     rounds: tuple[Round, ...]
     unavailable: Mapping[str, str]
     ripple: RippleLine | None = None
+    reverse_loss: ReverseLoss | None = None
     remarks: tuple[str, ...] = ()
     untold: tuple[Untold, ...] = ()
     absent: tuple[Absent, ...] = ()

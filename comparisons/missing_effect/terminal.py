@@ -35,7 +35,14 @@ _CHANCE_COLUMNS = {
     "other record": "other",
     "held-out blocks": "z",
 }
-_SHARE_COLUMNS = {"share": "explains", "later time": "left out", "other record": "last"}
+_SHARE_COLUMNS = {
+    "share": "explains",
+    # Without twins no share is asked for, and chance decides as on other rows.
+    "fitted rows": "explains",
+    "later time": "left out",
+    "other record": "last",
+    "held-out blocks": "left out",
+}
 _LEFT = ("candidate", "fate")
 TOO_SHORT = "The records are too short to tell where."
 

@@ -24,6 +24,7 @@ from comparisons.missing_effect.results import (
     FittedParameter,
     Gap,
     MissingEffect,
+    ReverseLoss,
     Untold,
 )
 from comparisons.missing_effect.search import Leftover, Round
@@ -305,5 +306,6 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
         diagnosis,
         missing=(*diagnosis.missing, found),
         verdict=verdict,
+        reverse_loss=ReverseLoss(loss, left, size, share),
         remarks=(*diagnosis.remarks, remark),
     )

@@ -35,6 +35,7 @@ __all__ = [
     "opening_words",
     "untold_words",
     "untried_words",
+    "verdict_sentence",
     "verdict_words",
 ]
 
@@ -91,7 +92,7 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         Whether limits and separating measurements are reported elsewhere, so that no option that
         would find them is named.
     """
-    said = [_LEADS.get(d.verdict) or _headline(d)]
+    said = [verdict_sentence(d)]
     if d.missing:
         said += [*(_effect_words(d, item) for item in d.missing), _tau_words(d), _gap_words(d)]
         said += [words for item in d.missing if (words := _alias_words(d, item))]
@@ -105,6 +106,17 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         said += [_left_words(d), *(f"{_sentence(remark)}." for remark in d.remarks)]
         said.append(_limit_words(d, limited=limited))
     return " ".join(filter(None, said))
+
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """Say the verdict in one sentence.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    return _LEADS.get(d.verdict) or _headline(d)
 
 
 def _headline(d: Diagnosis) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Block", "Bullets", "Cell", "Head", "Part", "Picture", "Table", "Words"]
+__all__ = ["Block", "Bullets", "Cell", "Head", "Part", "Picture", "Summary", "Table", "Words"]
 
 # Letters of a word that a printed column holds, and of a cell that stays in one line.
 LONGEST_WORD, LONGEST_LINE = 26, 30
@@ -28,7 +28,7 @@ class Words:
     ----------
     text : str
         Plain text; the template escapes it.
-    tone : {"plain", "quiet", "caution", "code"}
+    tone : {"plain", "quiet", "caution", "code", "heading"}
         How it is set.
     """
 
@@ -241,7 +241,27 @@ class Picture:
         return figure_to_data_uri(self.figure)
 
 
-Block = Words | Bullets | Table | Picture
+@dataclass(frozen=True)
+class Summary:
+    """The first screen of a section: a line, questions with their answers, and a picture.
+
+    Parameters
+    ----------
+    line : str
+        What it is about.
+    items : tuple of (str, str)
+        Question and answer; the first answer is set large.
+    picture : Picture or None
+        Beside the answers, or below them on a narrow screen.
+    """
+
+    kind: ClassVar[str] = "summary"
+    line: str
+    items: tuple[tuple[str, str], ...]
+    picture: Picture | None
+
+
+Block = Words | Bullets | Table | Picture | Summary
 
 
 @dataclass(frozen=True)
@@ -251,10 +271,33 @@ class Part:
     Parameters
     ----------
     title : str
-        Its heading.
+        Its heading; without one the blocks stand below the heading of the section.
     blocks : tuple of Block
         What it holds, in order.
+    folded : bool
+        Whether the page shows its heading alone until it is opened.
     """
 
     title: str
     blocks: tuple[Block, ...]
+    folded: bool = False
+
+    @classmethod
+    def together(cls, title: str, parts: Iterable[Part]) -> Part:
+        """Return parts as one, the title of each a heading in it.
+
+        Parameters
+        ----------
+        title : str
+            Its heading.
+        parts : iterable of Part
+            In order.
+        """
+        pairs = [(Words(part.title, "heading"), *part.blocks) for part in parts]
+        return cls(title, tuple(block for blocks in pairs for block in blocks))
+
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """Its pictures."""
+        own = (b.picture if isinstance(b, Summary) else b for b in self.blocks)
+        return tuple(block for block in own if isinstance(block, Picture))

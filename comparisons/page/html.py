@@ -11,7 +11,7 @@ from importlib.metadata import version as version_of
 from importlib.resources import files
 from typing import Any
 
-from comparisons.page.blocks import Head, Part, Picture, Table
+from comparisons.page.blocks import Head, Part, Table
 
 __all__ = ["render_page"]
 
@@ -63,8 +63,7 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    blocks = [block for _, parts in sections for part in parts for block in part.blocks]
-    pictures = [block for block in blocks if isinstance(block, Picture)]
+    pictures = [picture for _, parts in sections for part in parts for picture in part.pictures]
     uris = {id(picture): picture.uri for picture in progress(pictures)}
     style, script = (
         (files("comparisons.page") / "templates" / name).read_text("utf-8")

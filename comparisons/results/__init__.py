@@ -4,6 +4,7 @@ They compute nothing but views of themselves and know neither who made them nor 
 that the harness, the pages and the command line can all stand on them.
 """
 
+from comparisons.results.answer import Answer, Curve
 from comparisons.results.caution import Caution, texts_of
 from comparisons.results.comparison import (
     COLUMNS,
@@ -27,9 +28,11 @@ __all__ = [
     "ESTIMATOR_LABELS",
     "RECONSTRUCTION_COLUMNS",
     "SYMBOLS",
+    "Answer",
     "Caution",
     "Comparison",
     "ComparisonRow",
+    "Curve",
     "EstimatorResult",
     "FitRows",
     "FitScore",

@@ -6,7 +6,7 @@ __all__ = ["ESTIMATOR_LABELS", "SYMBOLS", "estimator_label"]
 
 SYMBOLS = {"psi_p": "ψ'", "psi": "ψ"}
 ESTIMATOR_LABELS = {
-    "classic_ml": "maximum likelihood",
+    "classic_ml": "whole-run output error",
     "paper": "the paper's way (armax)",
     "classic_ml_arx": "least squares (arx)",
     "classic_ml_output_error": "free run (output error)",

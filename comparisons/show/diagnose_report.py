@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +78,8 @@ def diagnosis_parts(
         Part("What would separate an alias set", _lines(separation)),
         Part("Effects that could not be tried", (_ledger(d),)),
     )
-    return tuple(part for part in parts if part.blocks)
+    first, *others = (part for part in parts if part.blocks)
+    return (first, *(replace(part, folded=True) for part in others))
 
 
 def diagnosis_report(
@@ -129,7 +131,9 @@ def _gap_table(d: Diagnosis) -> Table:
         for name, rms, tau in rows
     ]
     cells.append(("noise", significant(gap.floor_rms, 3), "1.00", ""))
-    closed = f"; {100.0 * min(gap.shrink, 1.0):.1f} % of it closed" if d.missing else ""
+    closed = (
+        f"; {100.0 * min(gap.shrink, 1.0):.1f} % of it closed" if d.missing and gap.shrink else ""
+    )
     return Table(f"Gap on rows held out{closed}", heads, tuple(cells))
 
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from comparisons.missing_effect.diagnosis import Diagnosis
+    from comparisons.missing_effect.results import ReverseLoss
     from comparisons.missing_effect.where import Where
     from surge_core.types import FloatArray
 
@@ -94,11 +95,13 @@ def diagnosis_picture(d: Diagnosis, where: Where | None) -> Picture:
         with τ, and the characteristic before and after.
     """
     heading, lines = title(d), _lines(d)
-    figure = new_figure(height_in=10.6 + 0.2 * len(lines))
+    reverse = d.reverse_loss
+    figure = new_figure(height_in=(10.6 if reverse is None else 13.2) + 0.2 * len(lines))
     size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
     look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
     figure.suptitle(_plain(heading), fontsize=size, fontweight="bold", **look)
-    grid = figure.add_gridspec(4, 1, height_ratios=[1.15, 0.8, 1.15, 1.35])
+    ratios = [1.15, 0.8, 1.15, 1.35, *([] if reverse is None else [1.2])]
+    grid = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
     run = held_out_run(d)
     shown = stretch(d, run)
     upper = dress(figure.add_subplot(grid[0]))
@@ -116,6 +119,8 @@ def diagnosis_picture(d: Diagnosis, where: Where | None) -> Picture:
     bottom = grid[3].subgridspec(1, 2, width_ratios=[1.0, 1.0])
     _candidates(figure.add_subplot(bottom[0]), d)
     _curves(dress(figure.add_subplot(bottom[1])), d)
+    if reverse is not None:
+        _reverse(dress(figure.add_subplot(grid[4])), reverse)
     return Picture.of(
         "The diagnosis in one picture",
         figure,
@@ -125,7 +130,8 @@ def diagnosis_picture(d: Diagnosis, where: Where | None) -> Picture:
         "in 19 rows of 20. Below: power densities, and the mean residual in ranges of φ with two "
         "standard errors and small triangles for rising (up) and falling (down) flow: a bend is a "
         "missing characteristic, two branches are a lag or a hysteresis. Bottom: all that "
-        "competed, the alias set hatched or pale; and the characteristic.",
+        "competed, the alias set hatched or pale; and the characteristic."
+        + ("" if reverse is None else " Last: the loss in reversed flow where it acts."),
     )
 
 
@@ -151,6 +157,14 @@ def _lines(d: Diagnosis) -> list[str]:
         f"{equation_of(effect_of(d, item.effect))};  {numbers_of(item.effect, item.parameters)}"
         for item in d.missing
     ]
+    if d.reverse_loss is not None:
+        share = f"{100.0 * d.reverse_loss.share:.0f} %"
+        lines.append(f"the loss explains {share} of what is left in reversed flow (last panel)")
+    if not d.gap.shrink:
+        return [
+            *lines,
+            f"τ = {tau_ms(d.tau_after_s, d.tau_stderr_s)}: the scored rows are untouched",
+        ]
     closed = 100.0 * min(d.gap.shrink, 1.0)
     return [
         *lines,
@@ -273,6 +287,20 @@ def _curves(ax: Axes, d: Diagnosis) -> None:
         r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", fontsize=9, color=INK, loc="left"
     )
     legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
+
+
+def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
+    """Draw what the model leaves in reversed flow over φ², with the loss that explains it."""
+    order = reverse.squared.argsort()
+    squared, left = reverse.squared[order], reverse.left[order]
+    ax.plot(squared, left, ".", ms=3, color=MEASURED, label="measured minus simulated")
+    words = f"loss c φ², c = {significant(reverse.size, 3)}"
+    ax.plot(squared, reverse.size * squared, color=AFTER, lw=1.8, label=printable(words))
+    ax.axhline(0.0, color=INK, lw=0.7)
+    ax.set_xlabel(r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]", fontsize=9)
+    ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
+    ax.set_title("reverse_flow_branch, where it acts", **LEFT)
+    legend(ax, loc="upper left", fontsize=TINY)
 
 
 def _plain(text: str) -> str:

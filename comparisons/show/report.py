@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.answer import answer_of
 from comparisons.page.blocks import Block, Part, Words
 from comparisons.page.html import render_page
-from comparisons.results import Comparison, Reconstruction, Truth
+from comparisons.results import Answer, Comparison, Reconstruction, Truth
 from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
+from comparisons.show.answer_page import answer_part
 from comparisons.show.plots_tau_trial import tau_trial
 from comparisons.show.report_tables import (
     checks_table,
@@ -25,14 +27,13 @@ from comparisons.show.report_words import (
     summary_list,
     tau_words,
     truth_list,
-    unknown_work_list,
 )
 
 if TYPE_CHECKING:
     from classic_ml.records import LedgerEntry
     from classic_ml.reduction import Reduction
 
-__all__ = ["ReportSection", "render_report"]
+__all__ = ["ReportSection", "render_report", "report_pages"]
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
@@ -52,12 +53,16 @@ class ReportSection:
         The same of the work coefficient ψ.
     reduction : Reduction, optional
         How the record was reduced from raw counts; without it the pictures show φ and ψ' alone.
-    truth, work_truth : Truth, optional
-        Of a simulated record, for ψ' and ψ.
+    truth : Truth, optional
+        Of a simulated record, for ψ'.
     validation : tuple of Reconstruction
         Models fitted elsewhere, run over other records.
     extra : tuple of Part
-        Further parts, set before the ledger.
+        Further parts: evidence of other steps.
+    quality : tuple of Block
+        Further words on the data.
+    answer : Answer, optional
+        The first screen; made from the comparison without it.
     """
 
     title: str
@@ -65,14 +70,15 @@ class ReportSection:
     work: Comparison | None = None
     reduction: Reduction | None = None
     truth: Truth | None = None
-    work_truth: Truth | None = None
     validation: tuple[Reconstruction, ...] = ()
     extra: tuple[Part, ...] = ()
+    quality: tuple[Block, ...] = ()
+    answer: Answer | None = None
 
     @property
     def fits(self) -> tuple[tuple[Comparison, Truth | None], ...]:
         """Its comparisons, each with the truth where that is known."""
-        pairs = ((self.comparison, self.truth), (self.work, self.work_truth))
+        pairs = ((self.comparison, self.truth), (self.work, None))
         return tuple((fit, truth) for fit, truth in pairs if fit is not None)
 
     @property
@@ -114,11 +120,22 @@ def render_report(
         channels, and what ledgers say, are data.
     """
     return render_page(
-        [(section.title, section_parts(section)) for section in sections],
+        report_pages(sections),
         title=title,
         command=command,
         progress=progress,
     )
+
+
+def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Part, ...]]]:
+    """Return the sections of a report as headings with their parts.
+
+    Parameters
+    ----------
+    sections : sequence of ReportSection
+        What the report is about.
+    """
+    return [(section.title, section_parts(section)) for section in sections]
 
 
 def section_parts(section: ReportSection) -> tuple[Part, ...]:
@@ -130,36 +147,42 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
         What it is about.
     """
     fits = [fit for fit, _ in section.fits]
-    characteristics = tuple(plots_fit.characteristics(fit, truth) for fit, truth in section.fits)
-    residuals = tuple(plots_residuals.errors_in_time(fit) for fit in fits)
-    parts = (
-        Part("In short", _summary(section)),
-        Part("Operating-point migration", _migration(section)),
-        Part("Surge cycles in time", _in_time(section)),
-        Part("Quasi-steady characteristics", characteristics),
-        Part("Reconstruction against measurement", _reconstructions(section)),
-        Part("Time constant by trial", _trial(section)),
-        Part("Residuals", residuals),
-        Part("Residual checks", tuple(map(checks_table, fits))),
-        Part("Equations", tuple(block for fit in fits for block in _equations(fit))),
-        *section.extra,
-        Part("Ledger of the reduction", ledger_tables(section.ledgers)),
-    )
-    return tuple(part for part in parts if part.blocks)
-
-
-def _summary(section: ReportSection) -> tuple[Block, ...]:
-    fits = [fit for fit, _ in section.fits]
     histories = list(section.ledgers.values())
     reduced = section.ledgers if section.reduction is not None else {}
-    blocks: list[Block] = [*tau_words(fits, histories), *cautions_list(fits, reduced)]
-    for fit, truth in section.fits:
-        blocks += [summary_list(fit), summary_table(fit)]
-        if truth is not None:
-            blocks.append(truth_list(fit, truth))
-    if section.work is None:
-        blocks += unknown_work_list(histories)
-    return tuple(blocks)
+    answer = section.answer
+    if answer is None and section.comparison is not None:
+        answer = answer_of(section.comparison)
+    tables = [summary_table(fit) for fit in fits]
+    truths = [truth_list(fit, truth) for fit, truth in section.fits if truth is not None]
+    evidence = (
+        *tau_words(fits, histories),
+        *tables,
+        *truths,
+        *(plots_fit.characteristics(fit, truth) for fit, truth in section.fits),
+        *_reconstructions(section),
+        *_trial(section),
+        *map(plots_residuals.errors_in_time, fits),
+    )
+    quality = (
+        *cautions_list(fits, reduced),
+        *section.quality,
+        *_migration(section),
+        *_in_time(section),
+    )
+    settings = (*map(summary_list, fits), *(block for fit in fits for block in _equations(fit)))
+    parts = (
+        Part("Evidence", evidence),
+        *section.extra,
+        Part("Checks", tuple(map(checks_table, fits))),
+        Part("Data quality", quality),
+        Part("Ledger", ledger_tables(section.ledgers)),
+        Part("Settings", settings),
+    )
+    shown = [part for part in parts if part.blocks]
+    if answer is not None:
+        return (answer_part(answer, section.truth), *(replace(p, folded=True) for p in shown))
+    # Without an answer the first part stands open in its place.
+    return (*shown[:1], *(replace(part, folded=True) for part in shown[1:]))
 
 
 def _migration(section: ReportSection) -> tuple[Block, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from classic_ml.checks import CheckRow
 from classic_ml.records import LedgerEntry, ledger_grid
 from comparisons.page.blocks import Cell, Head, Table
 from comparisons.results import (
@@ -44,35 +45,34 @@ def summary_table(fit: Comparison) -> Table:
 
 
 def checks_table(fit: Comparison) -> Table:
-    """Return the residual checks of all estimators.
+    """Return the residual checks of all estimators, a row for each and a column for each check.
 
     Parameters
     ----------
     fit : Comparison
-        Estimators side by side.
+        Estimators side by side, in the order of their table.
     """
-    checks = [(result.label, check) for result in fit.results for check in result.checks]
-    rows = tuple(
-        (
-            label,
-            check.check.replace("_", " "),
-            significant(check.statistic, 3),
-            f"{check.operator} {significant(check.threshold, 3)}",
-            "passed" if check.passed else "failed",
-            check.meaning,
-        )
-        for label, check in checks
-    )
+    results = [fit.result(row.estimator) for row in fit.table]
+    meanings = {c.check: c.meaning for result in results for c in result.checks}
+    rows = []
+    for result in results:
+        by_name = {check.check: check for check in result.checks}
+        cells = [_check_cell(by_name.get(name)) for name in meanings]
+        rows.append((Cell(result.label, result.name), *cells))
     heads = (
         Head("estimator"),
-        Head("check"),
-        Head("statistic", "what was computed", numeric=True),
-        Head("threshold", "where the statistic should lie", numeric=True),
-        Head("outcome"),
-        Head("meaning", prose=True),
+        *(Head(name.replace("_", " "), meaning) for name, meaning in meanings.items()),
     )
-    marks = tuple("" if check.passed else "failed" for _, check in checks)
-    return Table(f"Residual checks, {NAMES[fit.rows.target]}", heads, rows, marks)
+    caption = f"Checks of the errors, {NAMES[fit.rows.target]}; below each, statistic and limit"
+    return Table(caption, heads, tuple(rows))
+
+
+def _check_cell(check: CheckRow | None) -> str | Cell:
+    if check is None:
+        return "not made"
+    limit = f"{check.operator} {significant(check.threshold, 3)}"
+    small = f"{significant(check.statistic, 3)} ({limit})"
+    return Cell("passed" if check.passed else "failed", small)
 
 
 def validation_table(runs: Sequence[Reconstruction]) -> Table:

@@ -8,18 +8,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from classic_ml.records import LedgerEntry, counted
-from comparisons.harness.cautions import tau_caution, unknown_work
+from comparisons.harness.cautions import tau_caution
 from comparisons.page.blocks import Bullets, Words
 from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
 from comparisons.show.plots_fit import NAMES
-from surge_core.rounding import round_to_error, significant
+from surge_core.rounding import significant
 
 __all__ = [
     "cautions_list",
     "summary_list",
     "tau_words",
     "truth_list",
-    "unknown_work_list",
 ]
 
 # Which τ to quote stands above all.
@@ -90,7 +89,6 @@ def summary_list(fit: Comparison) -> Bullets:
     held_out = int(np.count_nonzero(~rows.train))
     low, high = fit.valid_phi
     items = (
-        _tau_sentence(fit),
         f"{rows.phi.size} rows in {counted(rows.n_segments, 'segment')} of "
         f"{counted(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
@@ -115,9 +113,10 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
         The truth.
     """
     items = []
-    low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
     for row in fit.table:
-        phi, value, _ = np.asarray(fit.result(row.estimator).model.table).T
+        model = fit.result(row.estimator).model
+        low, high = max(model.valid_phi[0], truth.phi[0]), min(model.valid_phi[1], truth.phi[-1])
+        phi, value, _ = np.asarray(model.table).T
         known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
         curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
@@ -125,22 +124,9 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     return Bullets(
         tuple(items),
         "plain",
-        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves where "
-        f"φ dwells and the truth is known, from {low:.3f} to {high:.3f}",
+        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves over "
+        "the φ that each estimator scored",
     )
-
-
-def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
-    """Say why ψ is not known, where the ledger shows that it could not be found.
-
-    Parameters
-    ----------
-    histories : sequence of ledgers
-        Of the records.
-    """
-    found = filter(None, map(unknown_work, histories))
-    reasons = dict.fromkeys(f"{reason.text}." for reason in found)
-    return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
 
 
 def _tau_off(row: ComparisonRow, truth: Truth) -> str:
@@ -151,23 +137,4 @@ def _tau_off(row: ComparisonRow, truth: Truth) -> str:
     words = f"τ off by {off_ms:+.1f} ms"
     if math.isfinite(stderr_ms) and stderr_ms > 0.0:
         words += f" ({abs(off_ms) / stderr_ms:.1f} of its standard errors)"
-    return words
-
-
-def _tau_sentence(fit: Comparison) -> str:
-    """Say the τ that is to be quoted, or that there is none, and the range of all."""
-    chosen = fit.recommended
-    all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
-    words = "No estimator's τ is recommended; the table says why."
-    if chosen is not None:
-        row = next(row for row in fit.table if row.estimator == chosen)
-        tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
-        words = (
-            f"Recommended: {row.label}, from one free run through the unfiltered signals: τ = "
-            f"{tau} ms (standard error)."
-        )
-    if len(all_ms) > 1:
-        words += (
-            f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
-        )
     return words

@@ -21,7 +21,7 @@ from comparisons.page.style import (
 from comparisons.show.structure_output import left_out_words, opening_words
 from surge_core.terms import pretty_term
 
-__all__ = ["structure_report"]
+__all__ = ["structure_parts", "structure_report"]
 
 POINTS_DRAWN = 4000
 BAND = 1.96
@@ -39,13 +39,20 @@ def structure_report(found: FoundStructure, *, command: str = "sindy-surge struc
     """
     names = ", ".join(Path(record.source).name for record in found.records)
     return render_page(
-        [(names, _parts(found))],
+        [(names, structure_parts(found))],
         title=f"Structure of the characteristic of {names}",
         command=command,
     )
 
 
-def _parts(found: FoundStructure) -> tuple[Part, ...]:
+def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
+    """Return the parts of a report section on the terms of the characteristic.
+
+    Parameters
+    ----------
+    found : FoundStructure
+        From :func:`find_structure`.
+    """
     opening = Words(opening_words(found) + ".")
     code, advice = found.state
     if found.refused:

@@ -60,7 +60,7 @@ def test_a_real_record_goes_from_counts_to_both_estimates(
     assert list(pd.read_csv(series).columns[:3]) == ["time_s", "phi", "psi_p"]
     assert run("compare", series, "--json", tmp_path / "c.json") == 0
     out = capsys.readouterr().out
-    assert "maximum likelihood" in out
+    assert "whole-run output error" in out
     assert "the paper's way (armax)" in out
     assert "sparse regression (SINDy)" in out
     document = json.loads((tmp_path / "c.json").read_text("utf-8"))

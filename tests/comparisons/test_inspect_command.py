@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import re
 import tomllib
@@ -238,11 +239,19 @@ def filled_in(draft: str, made: RawTest) -> str:
             table = head["path"]
         if key:
             values = made.description
-            for part in table.split("."):
+            for part in _described(table, made).split("."):
                 values = values[part]
         filled = f"{key['key']} = {json.dumps(values[key['key']])}" if key else line
         lines.append(filled)
     return "\n".join(lines)
+
+
+def _described(table: str, made: RawTest) -> str:
+    """The table of the description that holds the values of a table of the draft."""
+    if not table.startswith("defaults."):
+        return table
+    pattern = table.removeprefix("defaults.").strip('"').replace("temperature", "T*")
+    return "channels." + fnmatch.filter(made.description["channels"], pattern)[0]
 
 
 def test_the_draft_filled_in_is_the_description_of_the_test(
@@ -284,11 +293,56 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     assert found["test"]["sample_rate_hz"] == 2000.0
     assert found["file"] == {"time": "Time [ms]", "time_unit": "ms", "other_columns": "ignore"}
     assert list(found["channels"].values()) == [
-        {"column": 'PT25 "A" tip fwd [psia]', "kind": "pressure", "unit": "psia"},
-        {"column": "TT31-B (degF)", "kind": "temperature", "unit": "degF"},
-        {"column": "P31 rake C hub aft [kPa]", "kind": "pressure", "unit": "kPa"},
+        {
+            "column": 'PT25 "A" tip fwd [psia]',
+            "kind": "pressure",
+            "unit": "psia",
+            "plane": 25,
+            "rake": "A",
+            "immersion": "tip",
+            "facing": "forward",
+        },
+        {
+            "column": "TT31-B (degF)",
+            "kind": "temperature",
+            "unit": "degF",
+            "plane": 31,
+            "rake": "B",
+        },
+        {
+            "column": "P31 rake C hub aft [kPa]",
+            "kind": "pressure",
+            "unit": "kPa",
+            "plane": 31,
+            "rake": "C",
+            "immersion": "hub",
+            "facing": "aft",
+        },
     ]
+    assert list(found["defaults"]) == ["*25*tip*", "temperature", "*31*hub*"]
     assert "adc" not in found
+
+
+def test_codes_in_names_and_units_on_the_command_line_fill_the_draft(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    names = ("P25 A TF", "P25 A HA", "T31 B")
+    lines = [",".join(("time_s", *names))]
+    lines += [
+        f"{k * 1e-3!r},{','.join(map(repr, rng.normal(14.0, 0.1, 3).tolist()))}" for k in range(200)
+    ]
+    (tmp_path / "raw.csv").write_text("\n".join(lines), "utf-8")
+    draft = tmp_path / "draft.toml"
+    assert run(capsys, tmp_path / "raw.csv", "--draft", draft, "--units", "psia,degF")[0] == 0
+    found = tomllib.loads(draft.read_text("utf-8"))["channels"]
+    assert [c["unit"] for c in found.values()] == ["psia", "psia", "degF"]
+    one, other, _ = found.values()
+    assert (one["immersion"], one["facing"]) == ("tip", "forward")
+    assert (other["immersion"], other["facing"]) == ("hub", "aft")
+    with pytest.raises(SystemExit):
+        run(capsys, tmp_path / "raw.csv", "--units", "psia,mm")
+    assert "as psia,degF" in capsys.readouterr().err
 
 
 def test_channels_of_another_rate_are_named(

@@ -59,7 +59,7 @@ def test_reconstructions_of_other_records_in_a_table() -> None:
     lines = reconstruction_table(runs).splitlines()
     cells, names = lines[2 : 2 + len(runs)], " ".join(lines[2 + len(runs) :])
     assert all("other.csv" in line for line in cells)
-    assert "classic_ml (maximum likelihood)" in names
+    assert "classic_ml (whole-run output error)" in names
     assert "sindy (sparse regression (SINDy))" in names
     assert "custom" not in names  # it is called by its name already
     assert "sparse regression (SINDy)" in lines[2]

@@ -345,8 +345,10 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "softening_damping",
         code=Term.COULOMB,
         equation="− c_s tanh({s}/s_0)",
-        says="A damping that falls with amplitude: a friction whose change of sign is wide.",
-        numbers=(_resistance("c_s"), Number("width", WIDTH.high, 3.0)),
+        says="A damping that changes with amplitude: it falls where c_s is positive, a friction "
+        "whose change of sign is wide, and grows where it is negative.",
+        # Of either sign: beside the model's own damping it is what that lacks.
+        numbers=(_amplitude("c_s"), Number("width", WIDTH.high, 3.0)),
         places=parts.on_own,
         starts=parts.fixed((0.0, 0.5)),
         refused=parts.both_signs,

@@ -443,8 +443,11 @@ def _remarks(
             "alone. Give records in which it acts earlier, or several."
         )
     last = rounds[-1] if rounds else None
-    if last is not None and last.winner is not None and len(rounds) > len(missing):
-        label = last.winner.label(base.records.model)
+    model, found = base.records.model, {item.label for item in missing}
+    if last is None or last.winner is None:
+        return tuple(out)
+    if not all(placed.label(model) in found for placed in last.winner.added):
+        label = last.winner.label(model)
         share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
         kind = "a term without a name" if last.winner.unnamed else "small"
         out.append(f"{label} would explain {share} that are left; {kind}, and not added.")

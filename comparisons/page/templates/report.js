@@ -42,8 +42,13 @@
     });
   }
 
+  // Paper does not unfold.
+  addEventListener("beforeprint", () => {
+    for (const part of document.querySelectorAll("details")) part.open = true;
+  });
+
   // A picture is shown in its own size, and small again, at a click.
-  for (const image of document.querySelectorAll("figure img")) {
+  for (const image of document.querySelectorAll(".drawn img")) {
     image.addEventListener("click", () => image.classList.toggle("large"));
   }
 })();

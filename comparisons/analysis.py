@@ -1,0 +1,201 @@
+"""From a raw record to the answer: every step of the way, and what they say together."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from comparisons.results import Answer, Comparison
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+
+if TYPE_CHECKING:
+    from classic_ml.inspect import Inspection
+    from classic_ml.reduction import Reduction
+    from classic_ml.work.coefficient import WorkCharacteristic
+    from comparisons.harness.structure_fit import FoundStructure
+    from comparisons.missing_effect import Diagnosis
+
+__all__ = ["STEPS", "Analysis", "analyse", "missing_words"]
+
+# Each with the seconds that it lasts on a record of 4000 rows; only their ratios matter.
+STEPS = {
+    "looking through the file": 0.3,
+    "reducing the counts": 1.5,
+    "comparing the estimators of ψ'": 5.0,
+    "choosing the terms of ψ'_QS": 1.5,
+    "looking for what is missing": 10.0,
+    "fitting ψ_QS to the power": 3.0,
+}
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class Analysis(Displayed):
+    """What each step made of a raw record; None for a step that refused.
+
+    Parameters
+    ----------
+    answer : Answer
+        τ, the characteristic, whom to believe, what is missing and what was refused.
+    inspection : Inspection
+        What is in the file.
+    reduction : Reduction
+        φ, ψ' and ψ with their ledger.
+    comparison : Comparison
+        Estimators of ψ' side by side.
+    structure : FoundStructure or None
+        Terms of ψ'_QS.
+    diagnosis : Diagnosis or None
+        What the lag model lacks.
+    work : WorkCharacteristic or None
+        ψ_QS from the power that the blading delivers.
+    refusals : dict of str to str
+        By step, the sentence with which it refused.
+    """
+
+    answer: Answer
+    inspection: Inspection
+    reduction: Reduction
+    comparison: Comparison
+    structure: FoundStructure | None
+    diagnosis: Diagnosis | None
+    work: WorkCharacteristic | None
+    refusals: dict[str, str]
+
+    def _sheet(self) -> Sheet:
+        return self.answer._sheet()
+
+
+def analyse(
+    raw: str | os.PathLike[str],
+    test: str | os.PathLike[str],
+    *,
+    twins: bool = True,
+    begin: Callable[[str], object] = str,
+    progress: Progress = iter,
+) -> Analysis:
+    """Inspect, reduce, compare, choose terms, diagnose and fit the work of one raw record.
+
+    Each step is that of the command of its name with its defaults.
+
+    Parameters
+    ----------
+    raw : str or path
+        Raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet).
+    test : str or path
+        Description of its test (test.toml).
+    twins : bool
+        Measure twins of the record; without them it is quicker, the interval of τ lacks the
+        errors of calibration, and names of missing effects are provisional.
+    begin : callable
+        Called with the name of each of the ``STEPS`` as it begins.
+    progress : callable
+        Wraps the iterations inside the steps, to show how far they are.
+
+    Raises
+    ------
+    InputError
+        When the record cannot be reduced or compared. A later step that refuses is listed in the
+        answer instead.
+    """
+    import scipy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
+    from threadpoolctl import threadpool_limits
+
+    # The matrices are small: threads of BLAS that wait for one another make it 25 times slower.
+    with threadpool_limits(1):
+        return _analysed(os.fspath(raw), os.fspath(test), twins, begin, progress)
+
+
+def _analysed(
+    raw: str, toml: str, twins: bool, begin: Callable[[str], object], progress: Progress
+) -> Analysis:
+    from classic_ml.inspect import inspect_file
+    from classic_ml.io import read_raw, read_test_description
+    from classic_ml.reduction import reduce_record
+    from classic_ml.whole_record_fit import N_TWINS
+    from comparisons.harness.answer import answer_of
+    from comparisons.harness.cautions import unknown_work
+    from comparisons.harness.compare import compare_records
+    from comparisons.harness.structure_fit import find_structure
+    from comparisons.harness.work_fit import fit_work
+    from comparisons.missing_effect import diagnose
+    from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
+
+    names = iter(STEPS)
+    begin(next(names))
+    inspection = inspect_file(raw, read_test_description(toml).file)
+    begin(next(names))
+    record, test = read_raw(raw, toml)
+    reduction = reduce_record(record, test)
+    series = [reduction.series]
+    begin(next(names))
+    comparison = compare_records(
+        series, n_twins=N_TWINS if twins else 0, progress=progress, measuring=progress
+    )
+    refusals: dict[str, str] = {}
+
+    def tried(step: str, work: Callable[[], Any]) -> Any:
+        begin(next(names))
+        try:
+            return work()
+        except InputError as error:
+            refusals[step] = str(error)
+            return None
+
+    structure = tried("structure", lambda: find_structure(series))
+    diagnosis = tried(
+        "diagnose",
+        lambda: diagnose(series, n_twins=DIAGNOSIS_TWINS if twins else 0, progress=progress),
+    )
+    work = tried("work", lambda: fit_work(record, test, progress=progress))
+    readings = []
+    if structure is not None and not structure.refused:
+        fit = structure.fit
+        readings.append(("structure", fit.time_constant_s_, fit.time_constant_stderr_s_))
+    if diagnosis is not None:
+        readings.append(("diagnose", diagnosis.tau_after_s, diagnosis.tau_stderr_s))
+    if work is not None:
+        readings.append(("work", work.time_constant_s, work.time_constant_stderr_s))
+        if math.isnan(work.time_constant_s):
+            refusals["work"] = f"ψ_QS and its τ are not stated: {work.fit_state.advice}"
+    missing = missing_words(diagnosis) if diagnosis else f"not known: {refusals['diagnose']}"
+    answer = answer_of(
+        comparison,
+        test=test.name,
+        readings=readings,
+        verdict=diagnosis.verdict if diagnosis else "",
+        missing=missing,
+        # Why ψ is not known the comparison says, from the ledger.
+        refused=[
+            f"{step}: {why}"
+            for step, why in refusals.items()
+            if step != "work" or unknown_work(reduction.record.history) is None
+        ],
+    )
+    return Analysis(answer, inspection, reduction, comparison, structure, diagnosis, work, refusals)
+
+
+def missing_words(d: Diagnosis) -> str:
+    """Say what is missing, or that nothing is and what would have been seen.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    from comparisons.missing_effect.words import verdict_sentence
+
+    words = [
+        verdict_sentence(d),
+        *(f"{text[0].upper()}{text[1:].rstrip('.')}." for text in d.remarks),
+    ]
+    if d.absent and not d.missing:
+        seen = ", ".join(each.effect for each in d.absent)
+        words.append(f"These would have been seen: {seen}.")
+    if d.untold:
+        words.append(f"Not decided by this record: {', '.join(u.effect for u in d.untold)}.")
+    return " ".join(words)

@@ -1,0 +1,192 @@
+"""The answer of a comparison: which τ and which curve to read, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import PurePath
+
+import numpy as np
+
+from classic_ml.records import counted
+from comparisons.harness.cautions import spread_speeds, unknown_work
+from comparisons.harness.fit_quality import dwelt_on
+from comparisons.results import Answer, Comparison, Curve, EstimatorResult
+from surge_core.fit_state import WITHHOLDING
+from surge_core.rounding import round_to_error, significant
+
+__all__ = ["answer_of"]
+
+NOT_LOOKED_FOR = "not looked for here; `sindy-surge diagnose` or `sindy-surge run` does"
+# Two readings of one τ differ by no more than so many of their combined standard errors.
+APART = 2.0
+# Checks whose failure withholds the recommendation of a whole-run fit.
+DECISIVE = {
+    "phi_coverage": "its φ does not cover the range of its curve evenly",
+    "input_correlation": "its errors depend on φ, so that the model lacks something",
+}
+
+
+def answer_of(
+    comparison: Comparison,
+    *,
+    test: str = "",
+    readings: Sequence[tuple[str, float, float]] = (),
+    verdict: str = "",
+    missing: str = NOT_LOOKED_FOR,
+    refused: Sequence[str] = (),
+) -> Answer:
+    """Say which τ and curve of a comparison to read, and why.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    test : str
+        Name of the test; the names of the series files without it.
+    readings : sequence of (str, float, float)
+        What other steps read: name, τ and its standard error, in seconds.
+    verdict, missing : str
+        Of a diagnosis, where there is one.
+    refused : sequence of str
+        What other steps refused.
+    """
+    chosen = comparison.recommended
+    first = comparison.result(chosen or comparison.table[0].estimator)
+    model = first.model
+    tau = (model.time_constant_s, model.time_constant_stderr_s) if chosen else (math.nan, math.nan)
+    return Answer(
+        test=_test_line(comparison, test),
+        time_constant_s=tau[0],
+        time_constant_stderr_s=tau[1],
+        ci95_s=model.ci95_s if chosen else (math.nan, math.nan),
+        estimator=chosen or "",
+        label=first.label,
+        why=_believed(comparison, first) if chosen else _not_believed(comparison),
+        others=_others(*tau, readings) if chosen else "",
+        curve=_curve(comparison, first),
+        verdict=verdict,
+        missing=missing,
+        refused=(*_refused(comparison), *refused),
+    )
+
+
+def _test_line(comparison: Comparison, name: str = "") -> str:
+    names = name or ", ".join(PurePath(record.source).name for record in comparison.records)
+    rows = comparison.rows
+    # At its first row, before the surge heats the inlet.
+    found = [r.Nc_frac[0] for r in comparison.records if r.Nc_frac is not None]
+    speeds = dict.fromkeys(f"{100.0 * speed:.1f} %" for speed in found)
+    speed = f" at {' and '.join(speeds)} speed" if speeds else ""
+    return (
+        f"{names}{speed}: {counted(rows.n_segments, 'interval')} in stall, {rows.phi.size} rows at "
+        f"{1.0 / rows.sample_period_s:g} Hz"
+    )
+
+
+def _believed(comparison: Comparison, first: EstimatorResult) -> str:
+    words = (
+        f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
+    )
+    quotable = comparison.quotable
+    taus = [
+        1e3 * result.model.time_constant_s
+        for result in comparison.results
+        if result.name not in quotable and math.isfinite(result.model.time_constant_s)
+    ]
+    if not taus:
+        return f"{words}."
+    low, high = (significant(end, 3) for end in (min(taus), max(taus)))
+    spread = low if low == high else f"{low} to {high}"
+    return (
+        f"{words}, while the fits to low-passed rows read {spread} ms, which the low-pass before "
+        "the flow equation biases."
+    )
+
+
+def _not_believed(comparison: Comparison) -> str:
+    """Say why no τ of a comparison may be quoted."""
+    results = comparison.results
+    withheld = [result.label for result in results if result.state in WITHHOLDING]
+    whole = [result for result in results if result.whole_run is not None]
+    decisive = [
+        f"of {result.label} ({result.name}), {DECISIVE[check]}"
+        for result in whole
+        for check in result.failed
+        if check in DECISIVE
+    ]
+    if any(result.model.time_constant_stderr_s == 0.0 for result in results):
+        why = "it was held, not fitted"
+    elif spread_speeds(comparison.records):
+        why = "the records have different corrected speeds, each with a τ of its own"
+    elif withheld:
+        why = f"{withheld[0]} was refused, and the others know less"
+    elif not whole:
+        why = (
+            "the series carries no unfiltered run, which `sindy-surge reduce` writes, and a "
+            "low-pass before the flow equation biases τ"
+        )
+    elif decisive:
+        why = decisive[0]
+    elif not any(result.model.measured for result in whole):
+        why = "it is not two standard errors above zero"
+    else:
+        why = "the records are no clean whole runs with hub and tip read apart"
+    return f"Believe no τ: {why}."
+
+
+def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, float]]) -> str:
+    """Say which other readings of τ agree with the one to quote, and which do not."""
+    agree: list[str] = []
+    apart: list[str] = []
+    for name, value_s, error_s in readings:
+        if math.isfinite(value_s):
+            said = f"{name} {round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
+            far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
+            (apart if far else agree).append(said)
+    words = []
+    if agree:
+        words.append(f"It agrees with {', '.join(agree)}.")
+    if apart:
+        words.append(
+            f"It does not agree with {', '.join(apart)}: do not quote these beside it before the "
+            "difference is explained."
+        )
+    return " ".join(words)
+
+
+def _refused(comparison: Comparison) -> list[str]:
+    said = [
+        f"{result.label} ({result.name}): {result.advice}"
+        for result in comparison.results
+        if result.state in WITHHOLDING
+    ]
+    works = (unknown_work(record.history) for record in comparison.records)
+    return [*said, *dict.fromkeys(work.text for work in works if work is not None)]
+
+
+def _curve(comparison: Comparison, first: EstimatorResult) -> Curve | None:
+    """Return the curve of an estimator where φ was scored; None where it states none."""
+    if not first.states_curve or first.state in WITHHOLDING:
+        return None
+    model, rows = first.model, comparison.rows
+    phi, measured = rows.phi, rows.measured
+    if first.whole_run is not None:
+        inputs, scored = first.whole_run.stacked()
+        phi, measured = inputs.phi[scored], inputs.psi_p[scored]
+    low, high = model.valid_phi
+    inside = (phi >= low) & (phi <= high)
+    grid, value, stderr = np.asarray(model.table).T
+    known = (grid >= low) & (grid <= high) & dwelt_on(grid, phi)
+    return Curve(
+        rows.target,
+        model.terms,
+        model.coefficients,
+        model.stderr,
+        model.valid_phi,
+        grid[known],
+        value[known],
+        stderr[known],
+        phi[inside],
+        measured[inside],
+    )

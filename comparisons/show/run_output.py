@@ -1,0 +1,85 @@
+"""A whole analysis as JSON and as one page; each step under its own schema."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from comparisons.analysis import Analysis
+from comparisons.missing_effect.document import diagnosis_document
+from comparisons.missing_effect.shown import where_of
+from comparisons.missing_effect.where import Where
+from comparisons.page.blocks import Part, Words
+from comparisons.show.diagnose_report import diagnosis_parts
+from comparisons.show.inspection import inspect_document, inspect_text
+from comparisons.show.json_output import comparison_document, record_document
+from comparisons.show.report import ReportSection, report_pages
+from comparisons.show.structure_output import structure_document
+from comparisons.show.structure_report import structure_parts
+from comparisons.show.work_output import work_document, work_table
+from surge_core.errors import InputError
+
+__all__ = ["RUN_SCHEMA", "run_document", "run_pages"]
+
+RUN_SCHEMA = "sindy-surge/run/1"
+
+
+def run_document(found: Analysis) -> dict[str, Any]:
+    """Return an analysis as plain JSON types.
+
+    Parameters
+    ----------
+    found : Analysis
+        The analysis. A step that refused has ``{"refused": sentence}`` for its document.
+    """
+    series, record = found.reduction.series, found.reduction.record
+    made = {
+        "inspect": inspect_document(found.inspection),
+        "reduce": {**record_document(series), "history": [asdict(e) for e in record.history]},
+        "compare": comparison_document(found.comparison),
+        "structure": found.structure and structure_document(found.structure),
+        "diagnose": found.diagnosis and diagnosis_document(found.diagnosis, _where(found)),
+        "work": found.work and work_document(found.work, record.source),
+    }
+    steps = {
+        name: {"refused": found.refusals[name]} if document is None else document
+        for name, document in made.items()
+    }
+    return {"schema": RUN_SCHEMA, "answer": found.answer.to_json(), **steps}
+
+
+def run_pages(found: Analysis) -> list[tuple[str, tuple[Part, ...]]]:
+    """Return an analysis as the sections of a page.
+
+    Parameters
+    ----------
+    found : Analysis
+        The analysis.
+    """
+    parts: list[Part] = []
+    if found.diagnosis is not None:
+        parts += diagnosis_parts(found.diagnosis, _where(found))
+    extra = [Part.together("Evidence: what is missing", parts)]
+    if found.structure is not None:
+        extra.append(Part.together("Evidence: terms of ψ'_QS", structure_parts(found.structure)))
+    if found.work is not None:
+        words = Words(work_table(found.work, searched=True), "code")
+        extra.append(Part("Evidence: ψ_QS from the power", (words,)))
+    section = ReportSection(
+        found.answer.test,
+        found.comparison,
+        reduction=found.reduction,
+        extra=tuple(part for part in extra if part.blocks),
+        quality=(Words(inspect_text(found.inspection, None), "code"),),
+        answer=found.answer,
+    )
+    return report_pages([section])
+
+
+def _where(found: Analysis) -> Where | None:
+    if found.diagnosis is None:
+        return None
+    try:
+        return where_of(found.diagnosis)
+    except InputError:
+        return None

@@ -1,0 +1,101 @@
+"""From a raw record to the answer: one command, one page, one JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from comparison_data import made_comparison
+from raw_data import make_test
+
+from comparisons.cli import main
+from comparisons.harness.answer import answer_of
+from comparisons.rig import simulate, write_run
+
+TAU_S = 0.018
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Run the command on a record of the rig; return its folder and what it printed."""
+    folder = tmp_path_factory.mktemp("run")
+    write_run(simulate("985", seed=0), folder / "rig")
+    raw, test = (str(folder / "rig" / name) for name in ("raw.csv", "test.toml"))
+    with pytest.MonkeyPatch.context() as patch:
+        lines: list[str] = []
+        patch.setattr("builtins.print", lambda *words, **_: lines.extend(map(str, words)))
+        assert main(["run", raw, "--test", test, "--out", str(folder / "out"), "--no-twins"]) == 0
+    return folder / "out", "\n".join(lines)
+
+
+def test_the_answer_is_right_and_holds_the_truth(made: tuple[Path, str]) -> None:
+    folder, printed = made
+    document = json.loads((folder / "run.json").read_text("utf-8"))
+    answer = document["answer"]
+    low_s, high_s = answer["time_constant_s"]["ci95"]
+    assert answer["estimator"] == document["compare"]["recommended"] == "classic_ml"
+    assert abs(answer["time_constant_s"]["value"] - TAU_S) < 0.0025
+    assert low_s < TAU_S < high_s
+    curve = answer["characteristic"]
+    beta = simulate("985", seed=0).truth_parameters["beta"]
+    true = np.polynomial.polynomial.polyval(np.array(curve["phi"]), beta)
+    assert np.abs(np.array(curve["psi_p"]) - true).max() < 0.15
+    assert curve["valid_phi"][0] <= min(curve["phi"]) < max(curve["phi"]) <= curve["valid_phi"][1]
+    tau_ms = 1e3 * answer["time_constant_s"]["value"]
+    assert f"{tau_ms:.1f} ± " in printed.splitlines()[1]
+    assert f"{tau_ms:.1f} ± " in (folder / "report.html").read_text("utf-8")
+
+
+def test_each_step_has_its_own_document_or_the_sentence_that_refused(
+    made: tuple[Path, str],
+) -> None:
+    document = json.loads((made[0] / "run.json").read_text("utf-8"))
+    assert document["schema"] == "sindy-surge/run/1"
+    for step in ("inspect", "compare", "structure", "diagnose"):
+        assert document[step]["schema"] == f"sindy-surge/{step}/1"
+    # Above 90 % speed T31 leaves the limits of its acquisition.
+    assert "T31" in document["work"]["refused"]
+    (refused,) = document["answer"]["refused"]
+    assert refused.startswith("ψ is not known: no T31 that counts")
+    assert document["reduce"]["history"][0]["step"] == "read"
+    assert (made[0] / "series.csv").is_file()
+
+
+def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() -> None:
+    comparison = made_comparison()
+    answer = answer_of(dataclasses.replace(comparison, quotable=()), test="x")
+    assert math.isnan(answer.time_constant_s)
+    assert answer.estimator == ""
+    assert "`sindy-surge reduce`" in answer.why
+    assert "none to quote" in str(answer)
+    assert "which is not recommended" in answer.curve_words
+    held = dataclasses.replace(comparison.results[0].model, time_constant_stderr_s=0.0)
+    results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
+    answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))
+    assert "held, not fitted" in answer.why
+
+
+def test_a_reading_that_does_not_agree_is_named() -> None:
+    readings = [("structure", 0.0181, 0.0003), ("work", 0.003, 0.0002)]
+    others = answer_of(made_comparison(), readings=readings).others
+    agree, apart = others.split("It does not agree with ")
+    assert "structure 18.10 ± 0.30 ms" in agree
+    assert "work 3.00 ± 0.20 ms" in apart
+
+
+@pytest.mark.parametrize("wrong", ["raw", "test", "out"])
+def test_what_cannot_be_used_is_one_sentence_and_nothing_is_left(
+    wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw, test = make_test().write(tmp_path)
+    given = {"raw": raw, "test": test, "out": tmp_path / "out"}
+    given[wrong] = raw if wrong == "out" else tmp_path / "nothing.csv"
+    arguments = ["run", given["raw"], "--test", given["test"], "--out", given["out"]]
+    assert main([str(each) for each in arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(given[wrong]) in line
+    assert not (tmp_path / "out").exists()
