@@ -87,8 +87,10 @@ class Whitener:
         at = rows[later] - lag.whole_samples
         p, q = np.broadcast_to(ahead, later.size), np.broadcast_to(behind, later.size)
         carried = (noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0)
-        # Keeps the factor exact to eight digits even about a wild intermediate characteristic.
+        # Keeps the factor exact to eight digits even about a wild intermediate characteristic. A
+        # hinge that few rows see would otherwise grow with the doubt that it makes of them.
         carried = np.minimum(carried, 1e8 * noise.output**2)
+        doubt = np.minimum(doubt, 1e4 * noise.output)
         taps = lag.taps[0] if lag.taps[0, 2] else lag.taps[0, :2]
         band = np.zeros((taps.size, later.size))
         for apart in range(taps.size):

@@ -13,7 +13,7 @@ import numpy as np
 from classic_ml.records import LedgerEntry, Record
 from comparisons.rig.cases import RigCase, find_case
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
-from comparisons.rig.hidden import Alteration, hide_effect
+from comparisons.rig.hidden import BUMP_PHI, BUMP_WIDTH_PHI, Alteration, hide_effect
 from comparisons.rig.instrument import (
     NEAR_STALL_S,
     RAW_RATE_HZ,
@@ -123,6 +123,7 @@ def simulate(
     ).after(did)
     truth = _truth(plant, run, source + ", truth").after(did)
     parameters = _truth_table(plant, settings, int(seed), chain, truth)
+    parameters["quasi_steady"] = _in_stall_curve(plant, altered)
     if hidden:
         parameters["hidden"] = hidden
     return RigRun(raw, _test_table(plant, settings, near_stall, chain, altered), truth, parameters)
@@ -238,6 +239,15 @@ def _truth_table(
         "sensor_settings": _plain(asdict(settings)),
         "sensors": {name: dict(entry) for name, entry in chain.truth.items()},
     }
+
+
+def _in_stall_curve(case: RigCase, altered: Alteration) -> dict[str, list[float]]:
+    """Return the in-stall characteristic as a table, up to the flow of recovery."""
+    phi = np.linspace(-0.05, case.recovery_phi, 81)
+    psi_p = np.polynomial.polynomial.polyval(phi, [*case.pressure_terms, case.pressure_cubic])
+    psi_p += case.pressure_kink * np.maximum(phi - case.kink_phi, 0.0)
+    psi_p += altered.characteristic_shape * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
+    return {"phi": phi.tolist(), "psi_p": psi_p.tolist()}
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -87,3 +87,16 @@ def test_coloured_rows_do_not_reach_across_segments() -> None:
     column[:19] = 1.0
     assert whitener.groups.lengths.tolist() == [17, 27]
     assert np.all(whitener(column)[17:] == 0)
+
+
+def test_a_doubt_without_measure_leaves_every_equation_some_weight() -> None:
+    runs = Segments.from_labels(np.zeros(50, dtype=np.int64), 50)
+    lag = FirstOrderLag(0.006, 1e-3, "first")
+    noise = NoiseLevels(1.0, np.zeros(1), np.empty(0))
+    doubt = np.zeros(49)
+    doubt[20:25] = 1e200
+    slopes, rows = np.ones((1, 50)), np.arange(50)
+    whitener = Whitener(lag, slopes, noise, runs, rows, 1.0, lag.a, doubt)
+    column = np.zeros(49)
+    column[22] = 1.0
+    assert 1e-5 < np.linalg.norm(whitener(column)) < 1e-3

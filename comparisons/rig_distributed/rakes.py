@@ -1,0 +1,133 @@
+"""The twenty channels of a record: every probe of every rake through its instruments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from comparisons.rig_distributed.instruments import (
+    SPANS_PA,
+    Instruments,
+    codes,
+    thermocouple,
+    transducer_pa,
+)
+from comparisons.rig_distributed.machine import Machine
+from comparisons.rig_distributed.plant import PLANT_HZ, PlantRun
+from comparisons.rig_distributed.probes import hole_pressures_pa, local_flow
+from surge_core.types import FloatArray
+
+__all__ = ["NEAR_STALL_S", "Channels", "near_stall_reading", "read_rakes"]
+
+NEAR_STALL_S = 0.14
+# Samples of a zero and of a calibrate reading.
+_READINGS = 500
+# The reference stands at the pressure before the surge, to the nearest of these steps in Pa.
+_REFERENCE_STEP_PA = 5e3
+# Of the largest departure from the reference that the surge brings, the span must hold so much.
+_HEADROOM = 1.25
+_CALIBRATE_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The channels of one record in the order of the file.
+
+    Parameters
+    ----------
+    values : dict of str to ndarray
+        Codes or kelvin.
+    described : dict of str to dict
+        Table of each channel in ``test.toml``.
+    truth : dict of str to dict
+        Sensitivity in V/Pa and zero in V of each transducer.
+    """
+
+    values: dict[str, FloatArray] = field(default_factory=dict)
+    described: dict[str, dict[str, Any]] = field(default_factory=dict)
+    truth: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def read_rakes(
+    machine: Machine, run: PlantRun, fitted: Instruments, rng: np.random.Generator
+) -> Channels:
+    """Read two rakes at each plane, with a pair of probes at hub and tip and a thermocouple."""
+    out = Channels()
+    for plane in (25, 31):
+        pairs = {}
+        for immersion in ("tip", "hub"):
+            slope = float(np.round(rng.uniform(1.04, 1.12), 3))
+            offset = float(np.round(rng.uniform(0.006, 0.015), 4))
+            for rake in ("A", "B"):
+                mach, total_pa = local_flow(machine, run, plane, rake, immersion)
+                holes = hole_pressures_pa(
+                    mach, total_pa, slope=slope, offset=offset, knee=fitted.probe_knee
+                )
+                place = {"plane": plane, "rake": rake, "immersion": immersion}
+                law = {"probe_slope": slope, "probe_offset": offset}
+                pairs[rake, immersion] = place, law, holes
+        reference_pa = _REFERENCE_STEP_PA * float(
+            np.round(run[f"P{plane}"][0] / _REFERENCE_STEP_PA)
+        )
+        felt = [hole for _, _, holes in pairs.values() for hole in holes]
+        largest_pa = _HEADROOM * max(float(np.max(np.abs(p - reference_pa))) for p in felt)
+        span_pa = next((span for span in SPANS_PA if span >= largest_pa), largest_pa)
+        for rake in ("A", "B"):
+            for immersion in ("tip", "hub"):
+                place, law, holes = pairs[rake, immersion]
+                for facing, pressure_pa in zip(("forward", "aft"), holes, strict=True):
+                    name = f"P{plane}_{rake}_{immersion}_{facing}"
+                    table = {"kind": "pressure", "unit": "count", **place, "facing": facing, **law}
+                    table["zoc_reference_Pa"] = reference_pa
+                    _read_pressure(name, pressure_pa, span_pa, table, fitted, rng, out)
+            name = f"T{plane}_{rake}"
+            out.values[name] = thermocouple(run[f"T{plane}"], fitted, rng)
+            out.described[name] = {
+                "kind": "temperature",
+                "unit": "K",
+                "plane": plane,
+                "rake": rake,
+                "recovery_factor": fitted.recovery_factor,
+                "time_constant_s": fitted.junction_s,
+            }
+    return out
+
+
+def _read_pressure(
+    name: str,
+    pressure_pa: FloatArray,
+    span_pa: float,
+    table: dict[str, Any],
+    fitted: Instruments,
+    rng: np.random.Generator,
+    out: Channels,
+) -> None:
+    """Add one transducer: its zero and calibrate readings, and its record of the surge."""
+    gain = fitted.half_scale_v / span_pa * (1.0 + fitted.gain_scatter * rng.standard_normal())
+    zero_v = fitted.bias_v * rng.standard_normal()
+    calibrate_pa = _CALIBRATE_SHARE * span_pa
+    scale = 2**fitted.bits / (2.0 * fitted.half_scale_v)
+    for key, difference_pa in (("zero_count", 0.0), ("calibrate_count", calibrate_pa)):
+        noise_v = fitted.noise_frac * fitted.half_scale_v * rng.standard_normal(_READINGS)
+        steps = np.round((zero_v + gain * difference_pa + noise_v) * scale)
+        table[key] = float(np.mean(steps)) + 2.0 ** (fitted.bits - 1)
+    table["calibrate_pressure_Pa"] = calibrate_pa
+    volts = zero_v + gain * (transducer_pa(pressure_pa, fitted) - table["zoc_reference_Pa"])
+    out.values[name] = codes(volts, fitted, rng)
+    out.described[name] = table
+    out.truth[name] = {"sensitivity_V_Pa": float(gain), "zero_V": float(zero_v)}
+
+
+def near_stall_reading(
+    run: PlantRun, fitted: Instruments, rng: np.random.Generator
+) -> dict[str, float]:
+    """Return the facility's reading of the steady flow before the surge."""
+    rows = slice(0, round(NEAR_STALL_S * PLANT_HZ) + 1)
+    reading = {"from_s": 0.0, "to_s": NEAR_STALL_S}
+    for plane in (25, 31):
+        off_pa, off_k = rng.standard_normal(2) * (fitted.facility_frac, fitted.facility_k)
+        reading[f"P{plane}_Pa"] = float(np.mean(run[f"P{plane}"][rows]) * (1.0 + off_pa))
+        reading[f"T{plane}_K"] = float(np.mean(run[f"T{plane}"][rows]) + off_k)
+    return reading
