@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "HOLD",
     "JSON",
+    "METHOD",
     "RAW",
     "REPORT",
     "SERIES",
@@ -207,6 +208,14 @@ RAW = (
 JSON = writes("--json", metavar="FILE", help="write the numbers as JSON")
 REPORT = writes(
     "--report", metavar="FILE.html", suffixes=(".html", ".htm"), help="write the report"
+)
+METHOD = argument(
+    "--method",
+    action="append",
+    default=[],
+    metavar="MODULE:CLASS",
+    help="a method of your own beside the others: a class with fit and predict; or pysindy, frols, "
+    "narx, prediction_error; may be repeated",
 )
 HOLD = argument(
     "--hold",
