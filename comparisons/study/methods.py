@@ -88,13 +88,8 @@ def scores_of(
         # What a fit says is not to be used states no interval either.
         if result.state == "converged" and np.isfinite(low) and np.isfinite(high):
             out["tau_covered"] = float(low <= made.tau_s <= high)
-    if made.beta and result.has_curve:
-        out["curve_rms_error"] = _curve_error(model.quasi_steady, made, comparison.valid_phi)
+    phi = np.linspace(*comparison.valid_phi, CURVE_POINTS)
+    truth = made.true_curve(phi)
+    if truth is not None and result.has_curve and result.states_curve:
+        out["curve_rms_error"] = float(np.sqrt(np.mean((model.quasi_steady(phi) - truth) ** 2)))
     return out
-
-
-def _curve_error(curve: Any, made: Made, valid_phi: tuple[float, float]) -> float:
-    """Return the rms difference of a characteristic to the truth over the trusted flows."""
-    phi = np.linspace(*valid_phi, CURVE_POINTS)
-    truth = np.polynomial.polynomial.polyval(phi, np.asarray(made.beta))
-    return float(np.sqrt(np.mean((np.asarray(curve(phi)) - truth) ** 2)))
