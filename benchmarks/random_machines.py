@@ -40,8 +40,8 @@ from classic_ml.reduction import reduce_record
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
-from comparisons.rig import CASES, SensorSettings, simulate, write_run
-from comparisons.rig.cases import RigCase
+from comparisons.rig import CASES, write_run
+from comparisons.rig.drawn import SHAPES, SPEEDS, draw_run, shaped
 from comparisons.rig.gas import CP_J_KG_K
 from surge_core.errors import InputError
 
@@ -50,15 +50,8 @@ WITHIN_S, WITHIN_SHARE = 0.002, 0.10
 GROSS_SHARE, CURVE = 0.30, 0.15
 # Errors of ψ' this far apart count as independent in the bound.
 INDEPENDENT_S = 0.003
-# With fewer reversals of the flow a machine does not surge, and another is drawn.
-FEWEST_REVERSALS = 8
 # Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
 NEAR_STALL_S = 0.14
-RATES_HZ = (500.0, 1000.0, 1000.0, 2000.0)
-SPEEDS = ("985", "90", "95")
-# What the in-stall curve has beside a parabola: pressure_kink max(φ − 0.08, 0) + pressure_cubic φ³.
-SHAPES = {"parabola": (0.0, 0.0), "kink 25": (25.0, 0.0)}
-SHAPES |= {f"+{size:g} φ³": (0.0, size) for size in (150.0, 300.0, 600.0)}
 FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
 
 
@@ -70,101 +63,11 @@ def draw(
     ``shape``, out of ``SHAPES``, is what the in-stall curve has beside its parabola.
     """
     rng = np.random.default_rng([seed, number])
-    while True:
-        run, about = _machine(rng, speed or SPEEDS[number % 3], shape)
-        phi = run.truth["phi"]
-        if np.count_nonzero((phi[1:] < 0.0) & (phi[:-1] >= 0.0)) >= FEWEST_REVERSALS:
-            break
+    run, about = draw_run(rng, speed or SPEEDS[number % 3], shape)
     write_run(run, folder)
     truth = {name: run.truth[name] for name in ("phi", "psi_p", "in_stall")}
     about["truth"] = run.truth
     return about | _hardness(truth, about["tau_s"], run.truth.sample_period_s)
-
-
-def _machine(rng: np.random.Generator, speed: str, shape: str | None) -> tuple[Any, dict[str, Any]]:
-
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    base = CASES[speed]
-    terms = base.pressure_terms
-    cells = between(0.6, 1.6)
-    case = replace(
-        base,
-        name="drawn",
-        discharge_volume_m3=base.discharge_volume_m3 * between(0.8, 1.3),
-        exhaust_volume_m3=base.exhaust_volume_m3 * between(0.7, 1.4),
-        inlet_volume_m3=base.inlet_volume_m3 * between(0.7, 1.4),
-        inertia_per_m=base.inertia_per_m * between(0.85, 1.2),
-        cell_frequency_hz=base.cell_frequency_hz * between(0.75, 1.4),
-        cell_pressure_frac=base.cell_pressure_frac * cells,
-        cell_flow_kg_s=base.cell_flow_kg_s * cells,
-        hub_tip_flow_kg_s=base.hub_tip_flow_kg_s * between(0.6, 1.3),
-        tau_s=between(0.010, 0.030),
-        pressure_terms=(
-            terms[0] * between(0.85, 1.15),
-            terms[1] * between(0.7, 1.3),
-            terms[2] * between(0.85, 1.15),
-        ),
-        reverse_loss=base.reverse_loss * between(0.5, 1.5),
-        segmentation=None,
-        window_s=None,
-    )
-    case = _shaped(case, *SHAPES[shape or "parabola"])
-    noise = math.exp(between(math.log(0.05), math.log(0.5)))
-    bent = rng.random() < 0.25 and shape is None
-    # A stream of its own leaves every other number as it was.
-    other = rng.spawn(1)[0]
-    rate_hz = float(other.choice(RATES_HZ))
-    sensors = SensorSettings(
-        noise_percent=noise,
-        probe_offset=between(0.5, 1.5),
-        probe_ramp=float(other.uniform(0.01, 0.05)) if other.random() < 0.25 else 0.0,
-        hub_tip_bend=float(other.uniform(-0.5, 0.5)),
-        sample_rate_hz=rate_hz,
-        anti_alias_hz=0.45 * rate_hz,
-    )
-    run = simulate(
-        case,
-        seed=int(rng.integers(1 << 30)),
-        sensors=sensors,
-        hide="characteristic_shape" if bent else None,
-    )
-    rakes = 1 if rng.random() < 0.15 else 2
-    immersions = 1 if other.random() < 0.1 else 2
-    if rakes == 1:
-        run = _without(run, "rake", "B")
-    if immersions == 1:
-        run = _without(run, "immersion", "hub")
-    return run, {
-        "tau_s": case.tau_s,
-        "beta": None if bent else list(case.pressure_terms),
-        "noise": noise,
-        "rakes": rakes,
-        "immersions": immersions,
-        "rate_hz": rate_hz,
-        "ramp": sensors.probe_ramp,
-        "curve": "bent" if bent else "parabola",
-        "speed": base.name,
-    }
-
-
-def _shaped(case: RigCase, kink: float, cubic: float) -> RigCase:
-    """Bend the curve about the parabola nearest to it, or the machine would surge otherwise."""
-    phi = np.linspace(0.0, case.recovery_phi, 151)
-    bend = kink * np.maximum(phi - case.kink_phi, 0.0) + cubic * phi**3
-    nearest = np.polynomial.polynomial.polyfit(phi, bend, 2)
-    terms = tuple(map(float, np.array(case.pressure_terms) - nearest))
-    return replace(case, pressure_terms=terms, pressure_kink=kink, pressure_cubic=cubic)
-
-
-def _without(run: Any, what: str, which: str) -> Any:
-    """Take a rake or an immersion out of the record and of its description."""
-    gone = [name for name, channel in run.test["channels"].items() if channel.get(what) == which]
-    channels = {name: c for name, c in run.test["channels"].items() if name not in gone}
-    limits = {n: pair for n, pair in run.test.get("limits", {}).items() if n not in gone}
-    test = {**run.test, "channels": channels, "limits": limits}
-    return replace(run, raw=run.raw.without(gone), test=test)
 
 
 def _hardness(truth: dict[str, Any], tau_s: float, period_s: float) -> dict[str, float]:
@@ -253,7 +156,7 @@ def bent_series(seed: int, number: int, speed: str, shape: str, added: bool) -> 
         truth = draw(seed, number, folder, speed, "parabola" if added else shape)
         series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
     kink, cubic = SHAPES[shape]
-    bent = _shaped(replace(CASES[speed], pressure_terms=(0.0, 0.0, 0.0)), kink, cubic)
+    bent = shaped(replace(CASES[speed], pressure_terms=(0.0, 0.0, 0.0)), kink, cubic)
     terms = np.array(truth["beta"]) + (bent.pressure_terms if added else 0.0)
 
     def bend(phi: Any, powers: Any = terms) -> Any:

@@ -12,6 +12,7 @@ from comparisons.cli.shared import (
     FIGURES,
     HOLD,
     JSON,
+    METHOD,
     REPORT,
     SERIES,
     Command,
@@ -42,6 +43,7 @@ __all__ = ["COMMAND", "comparison_lines", "models_to_save"]
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.answer import answer_of
+    from comparisons.harness.methods import check_method
     from comparisons.harness.saved_models import save_models
     from comparisons.page.html import render_page
     from comparisons.show.json_output import comparison_document
@@ -49,6 +51,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     if given.figures:
         check_folder(given.figures)
+    for method in given.method:
+        check_method(method)
     records = read_records(given.series)
     comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
@@ -130,7 +134,7 @@ def _compare(
     comparison = compare_records(
         records,
         degree=given.degree,
-        estimators=_with_model(given),
+        estimators=_with_others(given),
         n_twins=_n_twins(given),
         measuring=_measuring,
         **options,
@@ -156,15 +160,16 @@ def _measuring(twins: Iterable[int]) -> Iterable[int]:
     return shown_over(twins, unit="twin", words="measuring twins")
 
 
-def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
-    """Return the default estimators and those of --model; None without the option."""
-    if given.model is None:
+def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
+    """Return the default estimators, --model's and --method's; None without these options."""
+    if given.model is None and not given.method:
         return None
     from comparisons.harness.estimators import default_estimators
+    from comparisons.harness.methods import method_spec
     from comparisons.missing_effect.extended_estimator import extended_specs
     from comparisons.missing_effect.extended_file import load_extended
 
-    if given.hold != "first":
+    if given.model is not None and given.hold != "first":
         raise InputError(
             "--model",
             expected="--hold first: a model with effects joins the samples of φ",
@@ -172,12 +177,18 @@ def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
         )
     own = default_estimators(
         degree=given.degree,
-        hold="first",
+        hold=given.hold,
         time_constant_s=given.tau,
         n_twins=_n_twins(given),
         measuring=_measuring,
     )
-    return (*own, *extended_specs(load_extended(given.model), [spec.name for spec in own]))
+    if given.model is not None:
+        own += tuple(extended_specs(load_extended(given.model), [spec.name for spec in own]))
+    specs = (*own, *map(method_spec, given.method))
+    names = [spec.name for spec in specs]
+    if len(set(names)) != len(names):
+        raise InputError("--method", expected="each name once", found=", ".join(names[len(own) :]))
+    return specs
 
 
 COMMAND = Command(
@@ -204,6 +215,7 @@ COMMAND = Command(
             metavar="N",
             help="degree of the classical characteristic (default: 2)",
         ),
+        METHOD,
         HOLD,
         argument(
             "--tau",

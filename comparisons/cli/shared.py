@@ -24,6 +24,7 @@ __all__ = [
     "FIGURES",
     "HOLD",
     "JSON",
+    "METHOD",
     "RAW",
     "REPORT",
     "SERIES",
@@ -220,6 +221,14 @@ FIGURES = argument(
     metavar="DIR",
     help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
     "characteristic as a lookup table (CSV, JSON)",
+)
+METHOD = argument(
+    "--method",
+    action="append",
+    default=[],
+    metavar="MODULE:CLASS",
+    help="a method of your own beside the others: a class with fit and predict; or pysindy, frols, "
+    "narx, prediction_error; may be repeated",
 )
 HOLD = argument(
     "--hold",

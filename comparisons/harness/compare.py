@@ -249,12 +249,13 @@ def _checks(
         return estimator.checks(valid_phi)
     if isinstance(estimator, LagRegressor):
         return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
+    visited = coverage(rows.phi, rows.runs, valid_phi)
+    if not errors.any():
+        # A method without a prediction one step ahead.
+        return (visited,)
     # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
     # of one.
-    return (
-        input_correlation(errors, rows.phi, rows.runs),
-        coverage(rows.phi, rows.runs, valid_phi),
-    )
+    return input_correlation(errors, rows.phi, rows.runs), visited
 
 
 def _state(estimator: Any) -> tuple[str, str]:

@@ -36,6 +36,8 @@ def score_fit(
         Rows that count; all without it.
     """
     keep = np.ones(measured.size, dtype=np.bool_) if scored is None else scored
+    if not keep.any():
+        return FitScore(math.nan, math.nan, math.nan, 0)
     error = (measured - predicted)[keep]
     spread = measured[keep] - np.mean(measured[keep])
     power = float(spread @ spread)

@@ -100,6 +100,16 @@ class EstimatorResult:
         return self.state != "rank_deficient" and self.state not in WITHHOLDING
 
     @property
+    def has_tau(self) -> bool:
+        """Whether a τ is its business: a fit that ended well without one has none to state."""
+        return not self.converged or math.isfinite(self.model.time_constant_s)
+
+    @property
+    def has_curve(self) -> bool:
+        """Whether a characteristic is."""
+        return not self.converged or any(math.isfinite(value) for _, value, _ in self.model.table)
+
+    @property
     def on_rows(self) -> bool:
         """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
         return self.whole_run is None and self.extended is None

@@ -171,7 +171,7 @@ class FittedLag:
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
         """Return the characteristic at φ, of shape (n,)."""
-        if all(is_known_term(term) for term in self.terms):
+        if self.terms and all(is_known_term(term) for term in self.terms):
             terms = evaluate_terms(list(self.terms), phi)
             return np.asarray(terms @ np.asarray(self.coefficients))
         grid, value, _ = np.asarray(self.table).T

@@ -80,7 +80,9 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
             "value": model.time_constant_s,
             "stderr": model.time_constant_stderr_s,
             "ci95": list(model.ci95_s),
-        },
+        }
+        if result.has_tau
+        else None,
         **_second_reading(result),
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": terms_json(model.terms, known * np.array(model.coefficients), model.stderr),
@@ -88,7 +90,9 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
             "phi": phi.tolist(),
             model.target: (known * psi_p).tolist(),
             "stderr": stderr.tolist(),
-        },
+        }
+        if result.has_curve
+        else None,
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,
         "equation": result.equation,
@@ -103,8 +107,13 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "checks": [asdict(check) for check in result.checks],
         "seconds": result.seconds,
         "dead_time_s": model.dead_time_s,
-        **({"effects": result.extended.to_json()["effects"]} if result.extended else {}),
+        **_effects(result),
     }
+
+
+def _effects(result: EstimatorResult) -> dict[str, Any]:
+    held = {} if result.extended is None else result.extended.to_json()
+    return {"effects": held["effects"]} if "effects" in held else {}
 
 
 def _second_reading(result: EstimatorResult) -> dict[str, Any]:

@@ -52,9 +52,10 @@ class Point:
     def draw(self) -> str:
         """What is independent of other records: a file; of simulated ones the seed.
 
-        Records of one seed at other settings have the same compressor, flow and noise.
+        Records of one seed at other settings have the same compressor, flow and noise; machines of
+        two rigs have nothing in common.
         """
-        return self.record if self.source == "files" else f"s-{self.seed}"
+        return self.record if self.source in ("files", "machines") else f"s-{self.seed}"
 
     @property
     def reduction(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point
 from comparisons.study.spec import Scalar
 from surge_core.errors import InputError
+from surge_core.models import read_toml
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from classic_ml.description import TestDescription
@@ -42,13 +45,25 @@ class Made:
     tau_s : float
         True time constant in s; NaN where it is not known.
     beta : tuple of float
-        True characteristic in powers of φ; empty where it is not known.
+        True characteristic in powers of φ; empty where it is not known so.
+    curve : tuple of two tuples of float
+        True characteristic as φ and ψ'; empty where it is not known so.
     """
 
     series: tuple[CoefficientSeries, ...]
     raw: tuple[Record, TestDescription] | None
     tau_s: float
     beta: tuple[float, ...]
+    curve: tuple[tuple[float, ...], ...] = ()
+
+    def true_curve(self, phi: FloatArray) -> FloatArray | None:
+        """Return the true characteristic at φ, of shape (n,); None where it is not known."""
+        if self.curve:
+            known, value = self.curve
+            return np.asarray(np.interp(phi, known, value), dtype=np.float64)
+        if not self.beta:
+            return None
+        return np.asarray(np.polynomial.polynomial.polyval(phi, self.beta), dtype=np.float64)
 
 
 def make_record(point: Point) -> Made:
@@ -64,7 +79,12 @@ def make_record(point: Point) -> Made:
     InputError
         When the settings do not make a record.
     """
-    makers = {"coefficients": _coefficients, "rig": _rig, "files": _files}
+    makers = {
+        "coefficients": _coefficients,
+        "rig": _rig,
+        "machines": _machine,
+        "files": _files,
+    }
     return makers[point.source](point.seed, point.table("record"))
 
 
@@ -140,6 +160,24 @@ def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
         write_run(run, kept)
         raw = read_raw(kept / "raw.csv", kept / "test.toml")
     return Made((), raw, case.tau_s, tuple(case.pressure_terms))
+
+
+def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
+    from classic_ml.io import read_raw
+    from comparisons.study.rigs import draw_of
+
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Path(folder) / "record"
+        draw_of(str(given["rig"]))(seed, kept)
+        # The truth is set apart before anything reads the record, and goes to the scores alone.
+        truth = read_toml(kept / "truth" / "truth.toml", "the truth of a record")
+        shutil.rmtree(kept / "truth")
+        raw = read_raw(kept / "raw.csv", kept / "test.toml")
+    table = truth.get("quasi_steady", {})
+    curve = (tuple(table["phi"]), tuple(table["psi_p"])) if table else ()
+    # What is hidden may bend the curve.
+    beta = () if "hidden" in truth else tuple(truth.get("beta", ()))
+    return Made((), raw, float(truth["tau_s"]), beta, curve)
 
 
 def _files(_: int, given: Mapping[str, Scalar]) -> Made:

@@ -130,6 +130,7 @@ _Record: Any = Annotated[
             "noise_percent": NotNegative,
         },
     )
+    | _record_table("machines", {"rig": str})
     | _record_table(
         "files",
         {},
@@ -266,7 +267,7 @@ class StudySpec(Table):
         if self.source == "coefficients" and self.reduction.model_fields_set:
             raise InputError(
                 "reduction",
-                expected="it with raw records (record.source = 'rig' or 'files')",
+                expected="it with raw records (record.source = 'rig', 'machines' or 'files')",
                 found="record.source = 'coefficients', which has no counts to reduce",
             )
         points = 1 if self.design is None else self.design.random
@@ -281,7 +282,7 @@ class StudySpec(Table):
 
     @property
     def source(self) -> str:
-        """Where records come from: "coefficients", "rig" or "files"."""
+        """Where records come from: "coefficients", "rig", "machines" or "files"."""
         return str(self.record.source)
 
     @property

@@ -108,7 +108,7 @@ def test_a_cell_that_fails_is_a_row_with_its_reason(tmp_path: Path) -> None:
     table = run_study(made, tmp_path / "out").set_index(["record.sample_period_s", "method"])
     assert table.loc[(0.01, "classic_ml_arx"), "state"] == "ok"
     assert table.loc[(0.01, "Breaks"), "state"] == "failed"
-    assert table.loc[(0.01, "Breaks"), "reason"] == "ZeroDivisionError: nothing to divide by"
+    assert "ZeroDivisionError: nothing to divide by" in table.loc[(0.01, "Breaks"), "reason"]
     assert "predict" in table.loc[(0.01, "Short"), "reason"]
     assert "finite" in table.loc[(0.01, "Blank"), "reason"]
     lost = table.loc[0.1]
@@ -130,7 +130,7 @@ def test_failed_cells_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ({"class": "no_such_package:Thing"}, "no_such_package"),
         ({"class": "study_methods:Nothing"}, "Nothing"),
         ({"class": "study_methods:Short", "parameters": {"colour": 1}}, "no arguments"),
-        ({"class": "study_methods:NoFit"}, "with fit and predict"),
+        ({"class": "study_methods:NoFit"}, "NoFit without fit"),
     ],
 )
 def test_a_class_that_cannot_be_had_is_refused_before_the_study(

@@ -1,0 +1,284 @@
+"""Methods of anybody's own beside the estimators: any class with ``fit`` and ``predict``.
+
+A method is named by ``module:Class``, by one of `PEERS` or by an entry point of the group
+``sindy_surge.methods``. Nothing but ``fit`` and ``predict`` is asked of it; what else it offers
+(τ, a curve, its own one-step prediction) is shown.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+import numpy as np
+
+from classic_ml.series import CoefficientSeries
+from comparisons.harness.estimators import EstimatorSpec
+from comparisons.results import FitRows
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["ENTRY_POINTS", "PEERS", "OwnFit", "check_method", "method_name", "method_spec"]
+
+ENTRY_POINTS = "sindy_surge.methods"
+_ROOM = "comparisons.harness.peers"
+# Other people's methods that come with the package; each asks for its own library when it is made.
+PEERS = {
+    "pysindy": f"{_ROOM}:PlainPysindy",
+    "frols": f"{_ROOM}:Frols",
+    "narx": f"{_ROOM}:NarxNetwork",
+    "prediction_error": f"{_ROOM}:PredictionError",
+}
+NAN = float("nan")
+
+
+def method_name(given: str) -> str:
+    """Return what a method is called in a table: the name of its class, or its own.
+
+    Parameters
+    ----------
+    given : str
+        ``module:Class`` or a name.
+    """
+    return given.rpartition(":")[2]
+
+
+def check_method(
+    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
+) -> None:
+    """Refuse, before anything is computed, a class that cannot be had, made or fitted.
+
+    Parameters
+    ----------
+    given : str
+        ``module:Class`` or a name.
+    name : str, optional
+        What it is called; without it as by :func:`method_name`.
+    parameters : mapping, optional
+        What the class is made with.
+
+    Raises
+    ------
+    InputError
+        Naming the method.
+    """
+    called = name or method_name(given)
+    made = _made(given, called, parameters or {}, 1e-3)
+    lacking = [name for name in ("fit", "predict") if not callable(getattr(made, name, None))]
+    if lacking:
+        raise InputError(
+            f"method {called}",
+            expected="a class with fit(X, y) and predict(X)",
+            found=f"{type(made).__name__} without {' and '.join(lacking)}",
+        )
+
+
+def method_spec(
+    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
+) -> EstimatorSpec:
+    """Return a method as an estimator of a comparison.
+
+    Parameters
+    ----------
+    given : str
+        ``module:Class`` or a name.
+    name : str, optional
+        What it is called; without it as by :func:`method_name`.
+    parameters : mapping, optional
+        What the class is made with.
+    """
+    called = name or method_name(given)
+
+    def fit(rows: FitRows, _: Sequence[CoefficientSeries]) -> OwnFit:
+        made = _made(given, called, parameters or {}, rows.sample_period_s)
+        # Copies: what it scales in place is scored as measured.
+        arrays = rows.X.copy(), rows.measured.copy()
+        fitted = _asked(called, made.fit, *arrays, segments=rows.labels.copy())
+        return OwnFit(called, made if fitted is None else fitted)
+
+    return EstimatorSpec(called, called, fit)
+
+
+@dataclass(frozen=True)
+class OwnFit:
+    """A fitted method, with the attributes of an estimator: NaN and none for what it lacks.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    estimator : object
+        Fitted, with ``predict``.
+    """
+
+    name: str
+    estimator: Any
+
+    @property
+    def extended_(self) -> OwnFit:
+        """What simulates: its own ``predict``."""
+        return self
+
+    @property
+    def fit_state_(self) -> Any:
+        """How its fit ended, where it says so."""
+        return getattr(self.estimator, "fit_state_", None)
+
+    @property
+    def time_constant_s_(self) -> float:
+        """τ in s; NaN where it has none."""
+        return float(getattr(self.estimator, "time_constant_s_", NAN))
+
+    @property
+    def time_constant_stderr_s_(self) -> float:
+        """Standard error of τ in s; NaN where it has none."""
+        return float(getattr(self.estimator, "time_constant_stderr_s_", NAN))
+
+    @property
+    def ci95_s_(self) -> tuple[float, float] | None:
+        """Its own 95 % interval of τ in s, where it states one."""
+        given = getattr(self.estimator, "ci95_s_", None)
+        return None if given is None else (float(given[0]), float(given[1]))
+
+    @property
+    def terms_(self) -> tuple[str, ...]:
+        """Names of its terms, where it has terms, coefficients and their covariance."""
+        return self._parts[0]
+
+    @property
+    def coef_(self) -> FloatArray:
+        """Its coefficients, of shape (n_terms,)."""
+        return self._parts[1]
+
+    @property
+    def covariance_(self) -> FloatArray:
+        """Their covariance, of shape (n_terms, n_terms)."""
+        return self._parts[2]
+
+    @property
+    def _parts(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+        names = ("terms_", "coef_", "covariance_")
+        if not all(hasattr(self.estimator, name) for name in names):
+            return (), np.empty(0), np.empty((0, 0))
+        terms, coefficients, covariance = (getattr(self.estimator, name) for name in names)
+        return tuple(map(str, terms)), np.asarray(coefficients), np.asarray(covariance)
+
+    def characteristic(self, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return its curve at φ and the error of that, of shape (n,); NaN where it has none."""
+        none = np.full(phi.size, NAN)
+        if not callable(getattr(self.estimator, "characteristic", None)):
+            return none, none
+        found = _asked(self.name, self.estimator.characteristic, phi.copy())
+        value, stderr = found if isinstance(found, tuple) else (found, none)
+        return _values(self.name, "characteristic", value, phi.size), np.asarray(stderr, float)
+
+    def equation(self) -> str:
+        """Return the method in one line."""
+        own = getattr(self.estimator, "equation", None)
+        return str(own()) if callable(own) else f"{type(self.estimator).__name__}: no equation"
+
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: IntArray | None = None,
+    ) -> FloatArray:
+        """Return its prediction from φ: of ψ' it is given the first row of each segment alone."""
+        marks = rows.labels if labels is None else labels
+        start = np.full(rows.phi.size, NAN)
+        for run in runs_of(marks, start.size):
+            start[run.start] = rows.measured[run.start]
+        found = _asked(
+            self.name, self.estimator.predict, rows.X.copy(), segments=marks.copy(), start=start
+        )
+        return _values(self.name, "predict", found, start.size)
+
+    def one_step_over(
+        self, rows: FitRows, records: Sequence[CoefficientSeries]
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return its own prediction one step ahead, and which rows have one: none without it."""
+        own = getattr(self.estimator, "one_step", None)
+        if not callable(own):
+            return np.zeros(rows.phi.size), np.zeros(rows.phi.size, dtype=np.bool_)
+        arrays = rows.X.copy(), rows.measured.copy()
+        value, known = _asked(self.name, own, *arrays, segments=rows.labels.copy())
+        return _values(self.name, "one_step", value, rows.phi.size), np.asarray(known, np.bool_)
+
+    @property
+    def target(self) -> str:
+        """The coefficient it predicts."""
+        return "psi_p"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the name: what a method holds is its own."""
+        return {"estimator": self.name}
+
+
+def _class_of(given: str, called: str) -> Any:
+    path = PEERS.get(given, given)
+    module, colon, name = path.partition(":")
+    if not colon:
+        points = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+        if given not in points:
+            raise InputError(
+                f"method {called}",
+                expected=f"module:Class, or one of {', '.join([*PEERS, *points])}",
+                found="neither",
+            )
+        module, _, name = points[given].value.partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except Exception as error:
+        raise InputError(
+            f"method {called}",
+            expected=f"a class at {module}:{name}",
+            found=f"{type(error).__name__}: {error}",
+            remedy="install its package where the workers run, or put its folder into PYTHONPATH",
+        ) from error
+
+
+def _made(given: str, called: str, parameters: Mapping[str, Any], sample_period_s: float) -> Any:
+    """Make an estimator; the sample period is passed where its class takes one."""
+    factory = _class_of(given, called)
+    options = dict(parameters)
+    try:
+        if "sample_period_s" in inspect.signature(factory).parameters:
+            options.setdefault("sample_period_s", sample_period_s)
+        return factory(**options)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"method {called}: parameters",
+            expected=f"what {given} takes",
+            found=f"{type(error).__name__}: {error}",
+        ) from error
+
+
+def _asked(name: str, function: Any, *arrays: FloatArray, **options: Any) -> Any:
+    """Call a function of a method with the options that it takes."""
+    taken = inspect.signature(function).parameters
+    try:
+        return function(*arrays, **{key: options[key] for key in options if key in taken})
+    except InputError:
+        raise
+    except Exception as error:
+        where = f"method {name}: {function.__name__}"
+        found = f"{type(error).__name__}: {error}"
+        raise InputError(where, expected="an answer", found=found) from error
+
+
+def _values(name: str, what: str, found: Any, size: int) -> FloatArray:
+    try:
+        values = np.asarray(found, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.size != size or not np.all(np.isfinite(values)):
+        shown = f"{values.size} values" if values.size != size else "NaN or infinite ones"
+        raise InputError(f"method {name}: {what}", expected=f"{size} finite values", found=shown)
+    return values

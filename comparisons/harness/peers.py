@@ -1,0 +1,337 @@
+"""Other people's methods, as one would write them in an afternoon, behind ``fit`` and ``predict``.
+
+Each takes X (n, 1) = φ and y (n,) = ψ' with ``segments`` and simulates from φ; ``start`` is the
+measured ψ' at the first row of each segment. Where a library is not installed, they say which.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, Self
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter, lfiltic
+
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray, IntArray
+
+__all__ = ["Frols", "NarxNetwork", "PlainPysindy", "PredictionError"]
+
+# C keeps its root inside the circle, or the filter that whitens runs away.
+LARGEST_C = 0.999
+# A simulation that runs off stays finite, and is scored as what it is.
+FARTHEST = 1e3
+
+
+def _needs(module: str, package: str) -> None:
+    if find_spec(module) is None:
+        raise InputError(
+            f"package {package}", expected="it to be installed", found=f"no module {module}"
+        )
+
+
+def _simulated(
+    phi: FloatArray,
+    segments: IntArray | None,
+    start: FloatArray,
+    step: Callable[[FloatArray, FloatArray], FloatArray],
+    lags: int,
+) -> FloatArray:
+    """Run all segments side by side: ``step(y, phi)`` takes the last ``lags`` rows of each.
+
+    ``y`` has shape (segments, lags) and ``phi`` (segments, lags + 1), the newest last.
+    """
+    runs = runs_of(segments, phi.size)
+    out = np.empty(phi.size)
+    longest = max(run.stop - run.start for run in runs)
+    rows = np.array([np.minimum(np.arange(longest), r.stop - r.start - 1) + r.start for r in runs])
+    flow = phi[rows]
+    # Before its first row a segment rests.
+    flow = np.hstack([np.repeat(flow[:, :1], lags, axis=1), flow])
+    found = np.repeat(start[[run.start for run in runs]][:, None], lags + longest, axis=1)
+    for k in range(lags + 1, lags + longest):
+        after = step(found[:, k - lags : k], flow[:, k - lags : k + 1])
+        found[:, k] = np.clip(after, -FARTHEST, FARTHEST)
+    for run, values in zip(runs, found, strict=True):
+        out[run] = values[lags : lags + run.stop - run.start]
+    return out
+
+
+def _lagged(
+    phi: FloatArray, y: FloatArray, segments: IntArray | None, lags: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return inputs (ψ' and φ before, φ now), the ψ' to predict and its rows; no seam is crossed.
+
+    Raises
+    ------
+    InputError
+        Where no segment is long enough.
+    """
+    runs = runs_of(segments, phi.size)
+    known = [np.arange(run.start + lags, run.stop) for run in runs]
+    rows = np.concatenate(known).astype(np.int64)
+    if rows.size < 10 * (lags + 1):
+        raise InputError("rows", expected="segments longer than the lags", found=f"{rows.size}")
+    before = np.arange(-lags, 0)
+    past = y[rows[:, None] + before]
+    return np.hstack([past, phi[rows[:, None] + np.append(before, 0)]]), y[rows], rows
+
+
+class _Narx:
+    """What networks and FROLS share: inputs of two lags, one step and the free run by it."""
+
+    lags = 2
+    level_ = 0.0
+
+    def _step(self, inputs: FloatArray) -> FloatArray:
+        raise NotImplementedError
+
+    def predict(
+        self,
+        X: FloatArray,
+        segments: IntArray | None = None,
+        start: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the free run of ψ', of shape (n,)."""
+        begin = np.full(len(X), self.level_) if start is None else start
+
+        def step(y: FloatArray, phi: FloatArray) -> FloatArray:
+            return self._step(np.hstack([y, phi]))
+
+        return _simulated(X[:, 0], segments, begin, step, self.lags)
+
+    def one_step(
+        self, X: FloatArray, y: FloatArray, segments: IntArray | None = None
+    ) -> tuple[FloatArray, Any]:
+        """Return ψ' one step ahead, of shape (n,), and which rows have one."""
+        inputs, _, rows = _lagged(X[:, 0], y, segments, self.lags)
+        out, known = y.copy(), np.zeros(y.size, dtype=np.bool_)
+        out[rows], known[rows] = self._step(inputs), True
+        return out, known
+
+
+class NarxNetwork(_Narx):
+    """A NARX network: scikit-learn's MLPRegressor on two lags of ψ' and φ, run freely.
+
+    Parameters
+    ----------
+    hidden : int
+        Units of its one hidden layer.
+    seed : int
+        Of its start.
+    """
+
+    def __init__(self, hidden: int = 16, seed: int = 0) -> None:
+        self.hidden = hidden
+        self.seed = seed
+
+    def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
+        """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
+        from sklearn.neural_network import MLPRegressor
+        from sklearn.preprocessing import StandardScaler
+
+        inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
+        self.level_, self.spread_ = float(np.mean(target)), float(np.std(target))
+        self.scaler_ = StandardScaler().fit(inputs)
+        network = MLPRegressor(
+            hidden_layer_sizes=(self.hidden,),
+            activation="tanh",
+            solver="lbfgs",
+            max_iter=500,
+            random_state=self.seed,
+        )
+        with warnings.catch_warnings():
+            # It is stopped after so many steps.
+            warnings.simplefilter("ignore")
+            network.fit(self.scaler_.transform(inputs), (target - self.level_) / self.spread_)
+        self.network_ = network
+        return self
+
+    def _step(self, inputs: FloatArray) -> FloatArray:
+        scaled = self.scaler_.transform(inputs)
+        return np.asarray(self.level_ + self.spread_ * self.network_.predict(scaled))
+
+
+class Frols(_Narx):
+    """Polynomial NARX by forward regression: sysidentpy's FROLS chooses, least squares fits.
+
+    Parameters
+    ----------
+    degree : int
+        Of the polynomials in two lags of ψ' and φ.
+    n_terms : int
+        How many it chooses.
+    """
+
+    def __init__(self, degree: int = 2, n_terms: int = 8) -> None:
+        _needs("sysidentpy", "sysidentpy")
+        self.degree = degree
+        self.n_terms = n_terms
+
+    def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
+        """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
+        from sklearn.preprocessing import PolynomialFeatures
+        from sysidentpy.model_structure_selection import FROLS
+
+        inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
+        self.level_ = float(np.mean(target))
+        self.features_ = PolynomialFeatures(self.degree).fit(inputs)
+        columns = self.features_.transform(inputs)
+        # On the rows themselves: its own lags would cross the seams between segments.
+        chooser = FROLS(n_terms=self.n_terms, order_selection=False)
+        # It leaves out the first rows of the target, which its own lags would need.
+        padded = np.concatenate([np.zeros(chooser.max_lag), target])[:, None]
+        chosen = chooser.error_reduction_ratio(columns, padded, self.n_terms)[1]
+        self.chosen_ = np.asarray(chosen, dtype=np.int64)
+        self.weights_ = np.linalg.lstsq(columns[:, self.chosen_], target)[0]
+        return self
+
+    def _step(self, inputs: FloatArray) -> FloatArray:
+        columns = self.features_.transform(inputs)[:, self.chosen_]
+        return np.asarray(columns @ self.weights_)
+
+
+class PlainPysindy:
+    """pysindy as its tutorial has it: smoothed differences, STLSQ, polynomials in ψ' and φ.
+
+    Parameters
+    ----------
+    sample_period_s : float
+        Sample period in s.
+    degree : int
+        Of the polynomials.
+    threshold : float
+        Of STLSQ, on normalised columns.
+    """
+
+    def __init__(self, sample_period_s: float, degree: int = 2, threshold: float = 1.0) -> None:
+        _needs("pysindy", "pysindy")
+        self.sample_period_s = sample_period_s
+        self.degree = degree
+        self.threshold = threshold
+
+    def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
+        """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
+        import pysindy
+
+        runs = [run for run in runs_of(segments, y.size) if run.stop - run.start > 15]
+        differences = pysindy.SmoothedFiniteDifference(
+            smoother_kws={"window_length": 11, "polyorder": 3}
+        )
+        optimizer = pysindy.STLSQ(threshold=self.threshold, normalize_columns=True)
+        model = pysindy.SINDy(optimizer, pysindy.PolynomialLibrary(self.degree), differences)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model.fit([y[r, None] for r in runs], t=self.sample_period_s, u=[X[r] for r in runs])
+        names = model.get_feature_names()
+        weights = np.asarray(model.coefficients())[0]
+        found = dict(zip(names, weights, strict=True))
+        pull = -float(found["x0"])
+        self.powers_ = np.asarray(model.feature_library.powers_)
+        self.weights_ = weights
+        self.level_ = float(np.mean(y))
+        self.time_constant_s_ = np.nan
+        mixed = (self.powers_[:, 0] > 0) & (self.powers_.sum(axis=1) > 1) & (weights != 0.0)
+        if pull > 0.0 and not mixed.any():
+            # Linear in ψ': a lag.
+            self.time_constant_s_ = 1.0 / pull
+            self.characteristic = self._characteristic
+        return self
+
+    def _rate(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        terms = y[:, None] ** self.powers_[:, 0] * phi[:, None] ** self.powers_[:, 1]
+        return np.asarray(terms @ self.weights_)
+
+    def _characteristic(self, phi: FloatArray) -> FloatArray:
+        """Return ψ' at rest, of shape (n,)."""
+        return self._rate(np.zeros_like(phi), phi) * self.time_constant_s_
+
+    def predict(
+        self,
+        X: FloatArray,
+        segments: IntArray | None = None,
+        start: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the free run of ψ', of shape (n,), by Runge and Kutta with φ joined by lines."""
+        begin = np.full(len(X), self.level_) if start is None else start
+        h = self.sample_period_s
+
+        def step(last: FloatArray, phi: FloatArray) -> FloatArray:
+            y, old, new = last[:, -1], phi[:, -2], phi[:, -1]
+            middle = 0.5 * (old + new)
+            one = self._rate(y, old)
+            two = self._rate(y + 0.5 * h * one, middle)
+            three = self._rate(y + 0.5 * h * two, middle)
+            four = self._rate(np.clip(y + h * three, -FARTHEST, FARTHEST), new)
+            return np.asarray(y + h / 6.0 * (one + 2.0 * two + 2.0 * three + four))
+
+        return _simulated(X[:, 0], segments, begin, step, 1)
+
+
+class PredictionError:
+    """The lag with a parabola and a moving average, by scipy's least squares over its errors.
+
+    Parameters
+    ----------
+    sample_period_s : float
+        Sample period in s.
+    """
+
+    def __init__(self, sample_period_s: float) -> None:
+        self.sample_period_s = sample_period_s
+
+    def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
+        """Fit it to φ, of shape (n, 1), and ψ', of shape (n,): y[k+1] = a y[k] + b·s + C e."""
+        phi, runs = X[:, 0], runs_of(segments, y.size)
+        columns = np.vander(phi, 3, increasing=True)
+        # φ is joined by lines: to first order the mean of the two ends acts.
+        before = [np.column_stack([y[r][:-1], _middle(columns[r])]) for r in runs]
+        after = [y[r][1:] for r in runs]
+        start = np.linalg.lstsq(np.vstack(before), np.concatenate(after))[0]
+
+        def errors(parameters: FloatArray) -> FloatArray:
+            parts = zip(before, after, strict=True)
+            raw = (target - inputs @ parameters[:4] for inputs, target in parts)
+            return np.concatenate([lfilter([1.0], [1.0, parameters[4]], part) for part in raw])
+
+        limits = ([-np.inf] * 4 + [-LARGEST_C], [np.inf] * 4 + [LARGEST_C])
+        found = least_squares(errors, [*start, 0.0], bounds=limits, x_scale="jac")
+        variance = 2.0 * found.cost / (found.fun.size - 5)
+        jacobian = np.asarray(found.jac)
+        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+        self.a_, self.beta_ = float(found.x[0]), found.x[1:4] / (1.0 - found.x[0])
+        self.time_constant_s_ = self.time_constant_stderr_s_ = np.nan
+        if 0.0 < self.a_ < 1.0:
+            self.time_constant_s_ = -self.sample_period_s / np.log(self.a_)
+            slope = self.time_constant_s_**2 / (self.sample_period_s * self.a_)
+            self.time_constant_stderr_s_ = slope * float(np.sqrt(covariance[0, 0]))
+        return self
+
+    def characteristic(self, phi: FloatArray) -> FloatArray:
+        """Return the parabola at φ, of shape (n,)."""
+        return np.asarray(np.vander(phi, 3, increasing=True) @ self.beta_)
+
+    def predict(
+        self,
+        X: FloatArray,
+        segments: IntArray | None = None,
+        start: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the free run of ψ', of shape (n,)."""
+        rest = self.characteristic(X[:, 0])
+        out = rest.copy() if start is None else np.array(start, dtype=np.float64)
+        for run in runs_of(segments, rest.size):
+            if run.stop - run.start > 1:
+                denominator = [1.0, -np.clip(self.a_, -1.0, 1.0)]
+                state = lfiltic([1.0], denominator, [out[run.start]])
+                drive = (1.0 - self.a_) * _middle(rest[run])
+                out[run][1:] = lfilter([1.0], denominator, drive, zi=state)[0]
+        return out
+
+
+def _middle(values: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (values[1:] + values[:-1]))

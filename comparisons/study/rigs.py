@@ -1,0 +1,57 @@
+"""Rigs that draw a machine at random and write its raw record and its truth.
+
+A rig is a function of a seed and a folder, which leaves ``raw.csv`` and ``test.toml`` there and the
+truth in ``truth/truth.toml``: ``tau_s`` and, where it is known, the curve as ``beta`` (powers of φ)
+or as ``quasi_steady`` with ``phi`` and ``psi_p``. Rigs of other packages come by entry points of
+the group ``sindy_surge.rigs``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+from surge_core.errors import InputError
+
+__all__ = ["draw_of", "rig_names"]
+
+ENTRY_POINTS = "sindy_surge.rigs"
+_OWN = {
+    "lumped": "comparisons.rig.drawn:draw_record",
+    "distributed": "comparisons.rig_distributed:draw_record",
+}
+
+
+def rig_names() -> tuple[str, ...]:
+    """Return the names of the rigs that are installed."""
+    return tuple(_rigs())
+
+
+def draw_of(name: str) -> Callable[[int, Path], None]:
+    """Return what draws a machine of a rig.
+
+    Parameters
+    ----------
+    name : str
+        Out of :func:`rig_names`.
+
+    Raises
+    ------
+    InputError
+        When there is no such rig.
+    """
+    if name not in _rigs():
+        raise InputError("rig", expected="one of " + ", ".join(_rigs()), found=repr(name))
+    module, _, function = _rigs()[name].partition(":")
+    draw: Callable[[int, Path], None] = getattr(importlib.import_module(module), function)
+    return draw
+
+
+@cache
+def _rigs() -> dict[str, str]:
+    own = {name: path for name, path in _OWN.items() if find_spec(path.partition(":")[0])}
+    return own | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
