@@ -27,6 +27,7 @@ from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
+    RAKE_DIFFERENCE,
     cell_frequency_hz,
     cell_period_s,
     estimated_threshold_lbm_s,
@@ -316,8 +317,15 @@ def _unfiltered(record: Record, test: TestDescription) -> tuple[Record, RakeSign
     plain = plain.without(set(_of_probes(plain, test)) - faults)
     plain = coefficients(plain, test)
     entry = LedgerEntry("keep", "P25 under the name that it has beside the filtered one")
-    renamed = replace(plain.channel("P25_Pa"), name="P25_unfiltered_Pa")
-    return plain.after(entry, add=[renamed]), rakes
+    inlet = plain.channel("P25_Pa")
+    renamed = [replace(inlet, name="P25_unfiltered_Pa")]
+    if not rakes.one_rake:
+        # The last are those of total pressure.
+        renamed += [
+            replace(inlet, name=RAKE_DIFFERENCE, values=apart)
+            for apart in rakes.cell_differences(25)[-1:]
+        ]
+    return plain.after(entry, add=renamed), rakes
 
 
 def _with_coefficients(

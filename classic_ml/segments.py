@@ -14,6 +14,7 @@ from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
+    "RAKE_DIFFERENCE",
     "SHORTEST_S",
     "cell_frequency_hz",
     "cell_period_s",
@@ -27,6 +28,8 @@ __all__ = [
 
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
+# What two rakes read differently at plane 25, and how near its line the cells' line is looked for.
+RAKE_DIFFERENCE, NEAR = "P25_rake_difference_Pa", 0.1
 # A line of rotating stall stands at least this far above the spectrum around it.
 LEAST_PEAK = 20.0
 # Without cells there is nothing to average out but noise.
@@ -104,10 +107,12 @@ def in_stall_by_threshold(
 def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
+    Where two rakes were read it is the peak next to that of their difference.
+
     Parameters
     ----------
     record : Record
-        With the plane average ``P25_unfiltered_Pa``.
+        With the plane average ``P25_unfiltered_Pa``, and ``P25_rake_difference_Pa`` where known.
     window : slice
         Rows of the surge cycles.
 
@@ -128,8 +133,13 @@ def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
 def _cell_line(record: Record, window: slice) -> tuple[float, float]:
     """Return the highest line above surge in Hz, and how far it stands above what is around it."""
     rate = record.sample_rate_hz
+    low, high = LOWEST_CELL_HZ, 0.4 * rate
+    if RAKE_DIFFERENCE in record:
+        # A resonance of the ducts is alike at both rakes, and higher than the cells in their mean.
+        apart = peak_frequency_hz(*power_spectrum(record[RAKE_DIFFERENCE][window], rate), low, high)
+        low, high = (1.0 - NEAR) * apart, (1.0 + NEAR) * apart
     frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], rate)
-    cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
+    cell_hz = peak_frequency_hz(frequency, density, low, high)
     around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
     return cell_hz, float(density[np.argmin(np.abs(frequency - cell_hz))] / np.median(around))
 

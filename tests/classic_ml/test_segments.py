@@ -13,6 +13,8 @@ from classic_ml.free_run import near
 from classic_ml.intervals import bridged, label_intervals
 from classic_ml.records import Record
 from classic_ml.segments import (
+    RAKE_DIFFERENCE,
+    cell_frequency_hz,
     estimated_threshold_lbm_s,
     hub_tip_stall,
     in_stall_by_threshold,
@@ -221,3 +223,22 @@ def test_straight_lines_are_drawn_across_what_does_not_count() -> None:
     known = np.array([False, True, False, False, True, False])
     np.testing.assert_allclose(bridged(values, known), [1.0, 1.0, 2.0, 3.0, 4.0, 4.0])
     assert bridged(values, np.zeros(6, dtype=bool)) is values
+
+
+def test_a_resonance_of_the_ducts_is_not_taken_for_the_cells() -> None:
+    """It is alike at both rakes; without a second rake nothing parts the two."""
+    time_s = np.arange(4000) / RATE
+    rng = np.random.default_rng(5)
+    planar, cells = (
+        size * np.sin(2 * np.pi * hz * time_s) for size, hz in ((900.0, 43.0), (200.0, 93.0))
+    )
+    noise = 5.0 * rng.standard_normal((2, time_s.size))
+    both = {
+        "P25_unfiltered_Pa": (planar + cells + noise[0], "Pa"),
+        RAKE_DIFFERENCE: (3.0 * cells + noise[1], "Pa"),
+    }
+    record = Record.from_arrays(both, sample_rate_hz=RATE)
+    window = slice(0, time_s.size)
+    assert cell_frequency_hz(record, window) == pytest.approx(93.0, abs=0.3)
+    alone = record.without({RAKE_DIFFERENCE})
+    assert cell_frequency_hz(alone, window) == pytest.approx(43.0, abs=0.3)
