@@ -11,6 +11,7 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from comparisons.cli import (
+    bench,
     compare,
     demo,
     diagnose,
@@ -56,6 +57,7 @@ COMMANDS = (
     discover.COMMAND,
     reproduce.COMMAND,
     study.COMMAND,
+    bench.COMMAND,
     total_system.COMMAND,
 )
 

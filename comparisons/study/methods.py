@@ -86,10 +86,15 @@ def scores_of(
         low, high = model.ci95_s
         out["tau_error_ms"] = 1e3 * (model.time_constant_s - made.tau_s)
         # What a fit says is not to be used states no interval either.
-        if result.state == "converged" and np.isfinite(low) and np.isfinite(high):
+        stated = result.state in ("converged", "two_readings")
+        if stated and np.isfinite(low) and np.isfinite(high):
             out["tau_covered"] = float(low <= made.tau_s <= high)
-    phi = np.linspace(*comparison.valid_phi, CURVE_POINTS)
+    # Where this method scored φ, as far as the truth is known there.
+    low, high = model.valid_phi
+    if made.curve:
+        low, high = max(low, made.curve[0][0]), min(high, made.curve[0][-1])
+    phi = np.linspace(low, high, CURVE_POINTS)
     truth = made.true_curve(phi)
-    if truth is not None and result.has_curve and result.states_curve:
+    if low < high and truth is not None and result.has_curve and result.states_curve:
         out["curve_rms_error"] = float(np.sqrt(np.mean((model.quasi_steady(phi) - truth) ** 2)))
     return out

@@ -1,0 +1,125 @@
+"""The command `sindy-surge bench`: methods on machines drawn at random."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from comparisons.cli.shared import (
+    JSON,
+    METHOD,
+    Command,
+    argument,
+    check_folder,
+    command_line,
+    whole,
+    write_asked,
+)
+
+__all__ = ["BENCH_SCHEMA", "COMMAND"]
+
+BENCH_SCHEMA = "sindy-surge/bench/1"
+HEADS = {
+    "method": "method",
+    "machines": "machines",
+    "answers": "answers",
+    "within": "within 2 ms or 10 %",
+    "covered": "interval holds τ",
+    "gross": "gross",
+    "curves": "curves",
+    "curves_within": "curve within 0.15",
+    "crashes": "crashes",
+    "median_error_ms": "median |error| [ms]",
+    "seconds": "s a record",
+}
+
+
+def _run(given: argparse.Namespace) -> Iterator[str]:
+    from joblib import cpu_count
+
+    from comparisons.page.blocks import Head, Part, Picture, Table, Words
+    from comparisons.page.html import render_page
+    from comparisons.show.figures import write_figures
+    from comparisons.study.bench import BenchRow, bench_rows, bench_spec, draw_ranks, ranks_of
+    from comparisons.study.design import cells_of
+    from comparisons.study.run import check_study, run_study
+    from surge_core.display import Grid
+    from surge_core.files import write_whole
+    from surge_core.progress import shown_count
+    from surge_core.rounding import significant
+
+    folder = check_folder(given.out)
+    spec = bench_spec(given.machines, given.seed, given.method, given.rig or ())
+    check_study(spec, folder, resume=given.resume)
+    with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
+        table = run_study(
+            spec, folder, jobs=given.jobs or cpu_count(), resume=given.resume, progress=progress
+        )
+    rows, ranks = bench_rows(table), ranks_of(table)
+    names = [field.name for field in fields(BenchRow)]
+    cells = tuple(
+        tuple(
+            value if isinstance(value, str) else str(value) if isinstance(value, int)
+            else significant(value, 3) for value in (getattr(row, name) for name in names)
+        )
+        for row in rows
+    )  # fmt: skip
+    heads = tuple(HEADS[name] for name in names)
+    grid = Grid(spec.title, heads, cells, frozenset({0}))
+    mean = ", ".join(f"{m} {r:.2f}" for m, r in zip(ranks.methods, ranks.mean, strict=True))
+    said = (
+        f"mean rank by |error of τ|, a refusal last: {mean}; critical difference "
+        f"{ranks.critical_difference:.2f} (Nemenyi, 5 %)"
+    )
+    shown = Table(
+        spec.title, tuple(Head(head, numeric=i > 0) for i, head in enumerate(heads)), cells
+    )
+    picture = Picture.of("Mean ranks", draw_ranks(ranks), said, said)
+    pages = [("Methods on machines drawn at random", (Part("", (shown, Words(said), picture)),))]
+    write_whole(
+        folder / "report.html", render_page(pages, title=spec.title, command=command_line())
+    )
+    n = write_figures(pages, folder)
+    document = {
+        "schema": BENCH_SCHEMA,
+        "machines": given.machines,
+        "seed": given.seed,
+        "methods": [asdict(row) for row in rows],
+        "ranks": asdict(ranks),
+    }
+    yield from (grid.title, *grid.lines(), "", said, "")
+    yield f"report, table and figure: {folder} ({n + 2} files)"
+    yield from write_asked(given, json=lambda: document)
+
+
+COMMAND = Command(
+    "bench",
+    help="methods on machines drawn at random, scored against a truth that they never see",
+    description="Draw machines from every rig that is installed, give each method the same raw "
+    "records, and score what it states against the truth, which the scores alone read. DIR has the "
+    "table of all fits (results.parquet), what is printed as HTML, CSV and LaTeX, and the "
+    "critical-difference plot. The numbers are the same wherever it is run.",
+    arguments=(
+        argument(
+            "--machines", type=whole(1, 100_000), default=100, metavar="N",
+            help="machines in all (default: 100)",
+        ),
+        argument("--seed", type=whole(0, 2**31), default=0, metavar="S", help="default: 0"),
+        METHOD,
+        argument(
+            "--rig", action="append", metavar="NAME", help="of this rig alone; may be repeated"
+        ),
+        argument("--out", type=Path, default=Path("bench"), metavar="DIR", help="default: bench"),
+        argument(
+            "--resume", action="store_true", help="go on with the bench in DIR; finished fits stay"
+        ),
+        argument(
+            "--jobs", type=whole(1, 1024), default=0, metavar="N",
+            help="worker processes (default: one a core)",
+        ),
+        JSON,
+    ),
+    run=_run,
+)  # fmt: skip

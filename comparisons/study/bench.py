@@ -1,0 +1,218 @@
+"""The bench: methods on machines drawn at random, scored against a truth that they never see.
+
+A study whose records are machines of every rig that is installed, and one row a method of what came
+out: how often it answers, how far off, whether its interval holds the truth, and how it ranks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import friedmanchisquare, rankdata, studentized_range
+
+from comparisons.harness.methods import ENTRY_POINTS, PEERS, method_name
+from comparisons.study.rigs import draw_of, rig_names
+from comparisons.study.spec import StudySpec, spec_from
+from surge_core.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["BenchRow", "Ranks", "bench_rows", "bench_spec", "draw_ranks", "ranks_of"]
+
+# A τ is right within 2 ms or 10 %, grossly wrong beyond 30 % with an interval that misses, and a
+# curve right within 0.15, its rms error over the φ that was scored.
+WITHIN_S, WITHIN_SHARE, GROSS_SHARE, CURVE_WITHIN = 2e-3, 0.10, 0.30, 0.15
+LEVEL = 0.05
+BUILT_IN = ("classic_ml", "sindy", "paper")
+SCORES = ["tau_error_ms", "tau_covered", "curve_rms_error"]
+
+
+@dataclass(frozen=True)
+class BenchRow:
+    """What one method did on all machines.
+
+    Parameters
+    ----------
+    method : str
+        Its name.
+    machines, answers : int
+        Records, and those on which it states a τ.
+    within, covered, gross : int
+        Answers within 2 ms or 10 %; whose 95 % interval holds the truth; off by 30 % and more with
+        an interval that misses, or none.
+    curves, curves_within : int
+        Curves that are stated where the truth is known, and those within 0.15.
+    crashes : int
+        Records on which it failed without a sentence.
+    median_error_ms, seconds : float
+        Median of the absolute error of τ in ms, and of the time a record takes in s.
+    """
+
+    method: str
+    machines: int
+    answers: int
+    within: int
+    covered: int
+    gross: int
+    curves: int
+    curves_within: int
+    crashes: int
+    median_error_ms: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Mean ranks by the absolute error of τ; where no τ is stated a method ranks last.
+
+    Parameters
+    ----------
+    methods : tuple of str
+        Best first.
+    mean : tuple of float
+        Mean rank of each.
+    p_value : float
+        Chance of such ranks if all methods were alike (Friedman); NaN below three methods.
+    critical_difference : float
+        Mean ranks nearer than this are not parted at 5 % (Nemenyi; Demšar, Journal of Machine
+        Learning Research 7, 2006).
+    """
+
+    methods: tuple[str, ...]
+    mean: tuple[float, ...]
+    p_value: float
+    critical_difference: float
+
+
+def bench_spec(
+    machines: int, seed: int, methods: Sequence[str] = (), rigs: Sequence[str] = ()
+) -> StudySpec:
+    """Return the study that a bench is.
+
+    Parameters
+    ----------
+    machines : int
+        Drawn from each rig in turn, all together so many.
+    seed : int
+        Of the bench; each machine has a seed of its own from it.
+    methods : sequence of str
+        Beside those built in: names of built-in peers, or ``module:Class``.
+    rigs : sequence of str
+        Rigs; all that are installed without them.
+
+    Raises
+    ------
+    InputError
+        When there is no such rig.
+    """
+    names = list(rigs) or list(rig_names())
+    for name in names:
+        draw_of(name)
+    each = math.ceil(machines / len(names))
+    # Seeds that a study takes as they are.
+    states = np.random.SeedSequence(seed).generate_state(each)
+    own = [{"name": name} for name in BUILT_IN]
+    paths = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)} | PEERS
+    own += [{"name": method_name(text), "class": paths.get(text, text)} for text in methods]
+    return spec_from(
+        {
+            "schema": "sindy-surge/study/1",
+            "title": f"Bench: {machines} machines drawn at random, seed {seed}",
+            "seeds": [int(state) for state in states],
+            "scores": SCORES,
+            "by": ["record.rig"] if len(names) > 1 else [],
+            "record": {"source": "machines", "rig": names if len(names) > 1 else names[0]},
+            "method": own,
+        },
+        "bench",
+    )
+
+
+def bench_rows(table: pd.DataFrame) -> tuple[BenchRow, ...]:
+    """Return one row a method.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of the study, one row a cell.
+    """
+    return tuple(_row(str(name), part) for name, part in table.groupby("method", sort=False))
+
+
+def _row(name: str, part: pd.DataFrame) -> BenchRow:
+    error = part["tau_error_ms"].to_numpy() / 1e3
+    true = part["tau_ms"].to_numpy() / 1e3 - error
+    stated, size = np.isfinite(error), np.abs(error)
+    held = part["tau_covered"].to_numpy() == 1.0
+    curve = part["curve_rms_error"].to_numpy()
+    sentence = part["reason"].astype(str).str.match(r"[A-Z]\w*(Error|Exception|Warning): ")
+    return BenchRow(
+        name,
+        len(part),
+        int(np.count_nonzero(stated)),
+        int(np.count_nonzero(size[stated] <= np.fmax(WITHIN_S, WITHIN_SHARE * true[stated]))),
+        int(np.count_nonzero(held & stated)),
+        int(np.count_nonzero(stated & ~held & (size > GROSS_SHARE * true))),
+        int(np.count_nonzero(np.isfinite(curve))),
+        int(np.count_nonzero(curve <= CURVE_WITHIN)),
+        int(np.count_nonzero(sentence)),
+        float(np.median(1e3 * size[stated])) if stated.any() else math.nan,
+        float(part["seconds"].median()),
+    )
+
+
+def ranks_of(table: pd.DataFrame) -> Ranks:
+    """Rank the methods on each record by the absolute error of τ.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of the study, one row a cell.
+    """
+    wide = table.pivot_table(
+        index="record", columns="method", values="tau_error_ms", dropna=False, sort=False
+    )
+    errors = wide.abs().fillna(np.inf).to_numpy()
+    ranks: FloatArray = np.apply_along_axis(rankdata, 1, errors)
+    n, k = ranks.shape
+    mean = ranks.mean(axis=0)
+    order = np.argsort(mean, kind="stable")
+    p = float(friedmanchisquare(*ranks.T).pvalue) if k > 2 and n > 1 else math.nan
+    reach = float(studentized_range.ppf(1.0 - LEVEL, k, np.inf)) / math.sqrt(2.0)
+    return Ranks(
+        tuple(str(wide.columns[i]) for i in order),
+        tuple(float(mean[i]) for i in order),
+        p,
+        reach * math.sqrt(k * (k + 1) / (6.0 * n)),
+    )
+
+
+def draw_ranks(ranks: Ranks) -> Figure:
+    """Draw mean ranks with the critical difference: methods that a bar joins are not parted.
+
+    Parameters
+    ----------
+    ranks : Ranks
+        Of the methods.
+    """
+    from comparisons.page.style import ACCENT, INK, dress, new_figure
+
+    figure = new_figure(height_in=1.2 + 0.35 * len(ranks.methods))
+    ax = dress(figure.add_subplot())
+    place = np.arange(len(ranks.methods))
+    ax.plot(ranks.mean, place, "o", color=ACCENT, ms=7)
+    look: dict[str, Any] = {"color": INK, "lw": 2.0, "alpha": 0.35}
+    for y, mean in zip(place, ranks.mean, strict=True):
+        ax.hlines(y, mean, mean + ranks.critical_difference, **look)
+    ax.set_yticks(place, list(ranks.methods))
+    ax.set_ylim(len(ranks.methods) - 0.5, -0.5)
+    ax.set_xlim(left=0.8)
+    ax.set_xlabel("mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)", fontsize=9)
+    return figure
