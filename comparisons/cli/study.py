@@ -53,7 +53,7 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     if len(reasons):
         yield f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons"
     yield ""
-    for groups in compare_scores(table, spec.scores, spec.reference, spec.by):
+    for groups in compare_scores(table, spec.scores, spec.reference, spec.by, spec.margin):
         yield from (f"{group}\n" for group in groups)
     page = given.out / "report.html"
     write_whole(page, render_study_report(table, spec, command=command_line()))

@@ -9,12 +9,13 @@ clusters of unequal size as in Bell & McCaffrey, Survey Methodology 28, 2002).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import rankdata
+from scipy.stats import t as student_t
 
 from comparisons.study.scores import Score, loss_label, score_named
 from surge_core.display import Displayed, Field, Grid, Sheet
@@ -33,12 +34,16 @@ __all__ = [
     "compare_methods",
     "compare_scores",
     "jackknife",
+    "verdicts_of",
 ]
 
 # States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
 FAILED, ENDED_WELL = "failed", ("ok", "converged")
 # Below so many records neither an error nor its normal approximation is to be relied on.
 FEWEST_RECORDS = 5
+# What a difference must exceed to matter: a share of the reference's loss, or of a coverage.
+MARGIN, COVERAGE_MARGIN = 0.10, 0.05
+LEVEL = 0.05
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
 # Differences that agree to so many digits of the greatest loss share a rank, and an error smaller
@@ -56,6 +61,8 @@ COLUMNS = {
     "records": "independent records that the pairs come from",
     "Δ to reference": "paired difference of the mean loss ± standard error over records; positive "
     "is worse",
+    "verdict": "better or worse than the reference: the difference is not zero (5 % over all rows, "
+    "Holm); equivalent: it lies within the margin (two one-sided tests at 5 %); else undecided",
     "trust": "why not to trust it",
 }
 
@@ -101,6 +108,8 @@ class MethodRow:
         By the difference to the reference; equal ones share a rank.
     trust : str
         Why not to trust this row; may be empty.
+    verdict : {"better", "worse", "equivalent", "undecided", ""}
+        Against the reference; empty for itself and where there is no pair.
     """
 
     method: str
@@ -113,6 +122,7 @@ class MethodRow:
     against: Paired
     rank: int | None
     trust: str
+    verdict: str = ""
 
 
 @dataclass(frozen=True)
@@ -156,6 +166,7 @@ class GroupComparison(Displayed):
         loss = f"{round_like(best.loss, best.loss_stderr)} {unit}".rstrip()
         others = [
             f"{row.method} {self._difference(row)} {unit}".rstrip()
+            + (f" ({row.verdict})" if row.verdict else "")
             for row in self.rows
             if row.method != self.reference
         ]
@@ -177,11 +188,12 @@ class GroupComparison(Displayed):
                 str(row.against.n_pairs),
                 str(row.against.n_records),
                 self._difference(row),
+                row.verdict,
                 row.trust,
             )
             for row in self.rows
         )
-        words = frozenset([1, len(COLUMNS) - 1])
+        words = frozenset([1, len(COLUMNS) - 2, len(COLUMNS) - 1])
         return Grid(self.caption, tuple(COLUMNS), rows, words, marked=0 if self.best else None)
 
     def _difference(self, row: MethodRow) -> str:
@@ -203,6 +215,7 @@ def compare_methods(
     score: Score | str,
     reference: str | None = None,
     by: Sequence[str] = (),
+    margin: float = MARGIN,
 ) -> tuple[GroupComparison, ...]:
     """Compare the methods of a study with a reference, over pairs alone.
 
@@ -217,6 +230,8 @@ def compare_methods(
         over the cells that all methods share.
     by : sequence of str
         Axes; each combination of their values is a group of its own.
+    margin : float
+        Share of the reference's loss within which a difference does not matter.
 
     Returns
     -------
@@ -239,10 +254,12 @@ def compare_methods(
     if reference is not None and reference not in names:
         raise InputError("reference", expected="one of " + ", ".join(names), found=repr(reference))
     against = reference or _winner(cells, chosen)
+    # A reference chosen by the same data stands for a comparison of all pairs.
+    tests = len(names) - 1 if reference else math.comb(len(names), 2)
     if not by:
-        return (_compared(cells, chosen, against, "all cells"),)
+        return (_compared(cells, chosen, against, "all cells", margin, tests),)
     return tuple(
-        _compared(part, chosen, against, ", ".join(map(_value_words, by, where)))
+        _compared(part, chosen, against, ", ".join(map(_value_words, by, where)), margin, tests)
         for where, part in cells.groupby(list(by), dropna=False)
     )
 
@@ -252,6 +269,7 @@ def compare_scores(
     scores: Sequence[Score | str],
     reference: str | None = None,
     by: Sequence[str] = (),
+    margin: float = MARGIN,
 ) -> list[tuple[GroupComparison, ...]]:
     """Compare methods by each of several scores: over all cells, then split by some axes.
 
@@ -265,6 +283,8 @@ def compare_scores(
         Method that the others are compared with; the best without it.
     by : sequence of str
         Axes; each combination of their values is a group of its own, after that of all cells.
+    margin : float
+        Share of the reference's loss within which a difference does not matter.
 
     Returns
     -------
@@ -273,8 +293,10 @@ def compare_scores(
     """
     found = []
     for score in scores:
-        whole = compare_methods(table, score, reference)
-        split = compare_methods(table, score, whole[0].reference, by) if by and whole else ()
+        whole = compare_methods(table, score, reference, margin=margin)
+        split: tuple[GroupComparison, ...] = ()
+        if by and whole:
+            split = compare_methods(table, score, whole[0].reference, by, margin)
         found.append((*whole, *split))
     return found
 
@@ -365,7 +387,9 @@ def _winner(cells: pd.DataFrame, score: Score) -> str:
     return str(score.losses(values).mean().idxmin())
 
 
-def _compared(cells: pd.DataFrame, score: Score, reference: str, place: str) -> GroupComparison:
+def _compared(
+    cells: pd.DataFrame, score: Score, reference: str, place: str, margin: float, tests: int
+) -> GroupComparison:
     parts = {str(name): part.set_index("_cell") for name, part in cells.groupby("method")}
     right = parts.get(reference, cells.iloc[:0].set_index("_cell"))
     against = {name: _paired(part, right, score) for name, part in parts.items()}
@@ -385,9 +409,55 @@ def _compared(cells: pd.DataFrame, score: Score, reference: str, place: str) -> 
                 name, len(part), failed, mean, error, *loss, against[name], ranks.get(name), doubts
             )
         )
+    level = next((row.loss for row in rows if row.method == reference), math.nan)
+    reach = COVERAGE_MARGIN if score.better == "target" else margin * abs(level)
+    others = {name: pair for name, pair in against.items() if name != reference}
+    verdicts = verdicts_of(others, reach, tests)
+    rows = [replace(row, verdict=verdicts.get(row.method, "")) for row in rows]
     rows.sort(key=lambda row: (row.rank is None, row.rank or 0, row.method))
     best = rows[0].method if rows[0].rank else ""
     return GroupComparison(score, place, reference, best, tuple(rows))
+
+
+def verdicts_of(against: Mapping[str, Paired], margin: float, tests: int = 0) -> dict[str, str]:
+    """Return what the paired differences of methods to a reference say.
+
+    "better" and "worse" are two-sided tests by Student's t over records, at 5 % over all together
+    (Holm, Scandinavian Journal of Statistics 6, 1979); "equivalent" is two one-sided tests at 5 %
+    each (Schuirmann, Journal of Pharmacokinetics and Biopharmaceutics 15, 1987), and goes first.
+
+    Parameters
+    ----------
+    against : mapping of str to Paired
+        Differences, by method.
+    margin : float
+        Half the width of what counts as equal, in the unit of the loss.
+    tests : int
+        Comparisons that these were chosen from, where there were more.
+    """
+    found = {}
+    known = {n: p for n, p in against.items() if p.n_records > 1 and math.isfinite(p.stderr)}
+    left, rejecting = max(tests, len(known)), True
+    for name in sorted(known, key=lambda name: _two_sided(known[name])):
+        pair = known[name]
+        rejecting = rejecting and _two_sided(pair) * left <= LEVEL
+        left -= 1
+        room = Paired(pair.n_pairs, pair.n_records, margin - abs(pair.difference), pair.stderr)
+        if room.difference > 0.0 and 0.5 * _two_sided(room) <= LEVEL:
+            found[name] = "equivalent"
+        elif rejecting:
+            found[name] = "worse" if pair.difference > 0.0 else "better"
+        else:
+            found[name] = "undecided"
+    single = [name for name, pair in against.items() if pair.n_pairs and name not in known]
+    return found | dict.fromkeys(single, "undecided")
+
+
+def _two_sided(pair: Paired) -> float:
+    """Return the p-value of a difference of zero."""
+    if pair.stderr == 0.0:
+        return 1.0 if pair.difference == 0.0 else 0.0
+    return float(2.0 * student_t.sf(abs(pair.difference) / pair.stderr, pair.n_records - 1))
 
 
 def _paired(part: pd.DataFrame, right: pd.DataFrame, score: Score) -> Paired:

@@ -24,8 +24,8 @@ MOST_GROUPS, MOST_REASONS = 24, 40
 READING = (
     "Mean, loss and median are over the method's own cells; differences over the cells that it "
     "shares with the reference, so that what is hard for both falls out. Errors leave out one "
-    "whole record at a time. No difference was detected where the 95 % interval holds zero (two "
-    "standard errors, more with few records), which is not the same as equal."
+    "whole record at a time. Undecided: the data say neither that two methods differ nor that "
+    "they differ by less than the margin."
 )
 
 
@@ -43,7 +43,7 @@ def render_study_report(
     command : str
         The command line that made it.
     """
-    scored = compare_scores(table, spec.scores, spec.reference, spec.by)
+    scored = compare_scores(table, spec.scores, spec.reference, spec.by, spec.margin)
     groups = [several[: 1 + MOST_GROUPS] for several in scored]
     extent = (
         f"{len(table)} cells of {table['method'].nunique()} methods on "

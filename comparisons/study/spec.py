@@ -204,6 +204,8 @@ class StudySpec(Table):
         Method that the others are compared with; None: the best.
     by : list of str
         Axes that the report splits by.
+    margin : float
+        Share of the reference's loss within which two methods are equivalent.
     design : Random, optional
         So many points drawn at random; None ("grid" in the file): every combination.
     method : list of Method
@@ -222,6 +224,7 @@ class StudySpec(Table):
     )
     reference: str | None = None
     by: list[str] = Field([])
+    margin: float = Field(0.1, gt=0.0)
     design: Annotated[
         Random | None, BeforeValidator(lambda given: None if given == "grid" else given)
     ] = Field(None, description='"grid" or { random = N, seed = S }')

@@ -223,3 +223,44 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence() -> None:
     ):
         with pytest.raises(InputError, match=says):
             compare_methods(table, **wrong)  # type: ignore[arg-type]
+
+
+def test_the_stated_5_percent_is_5_percent_where_methods_are_equal() -> None:
+    """Four equal methods: any word of a difference is false, whoever was chosen as reference."""
+    found = {"a": 0, None: 0}
+    n = 300
+    for seed in range(n):
+        methods = dict.fromkeys("abcd", 0.0)
+        table = made_study(methods, seed=seed, n_records=12, n_reductions=1, noise=1.0)
+        for reference in found:
+            group = compared(table, reference=reference, margin=0.001)
+            found[reference] += any(row.verdict in ("better", "worse") for row in group.rows)
+    error = np.sqrt(0.05 * 0.95 / n)
+    # Holm keeps the level exactly for independent tests, and stays below it for these.
+    assert 0.01 < found["a"] / n < 0.05 + 3.0 * error
+    assert found[None] / n < 0.05 + 3.0 * error
+
+
+def test_equivalence_is_said_of_methods_at_the_margin_in_5_percent() -> None:
+    n, said = 400, {0.0: 0, 1.0: 0}
+    for seed in range(n):
+        for shift in said:
+            table = made_study(
+                {"a": 0.0, "b": shift}, seed=seed, n_records=20, n_reductions=1, record_spread=0.0
+            )
+            # The loss of the reference is 10: its margin is 1.
+            said[shift] += compared(table, reference="a").row("b").verdict == "equivalent"
+    assert said[0.0] == n
+    assert said[1.0] / n == pytest.approx(0.05, abs=3.0 * np.sqrt(0.05 * 0.95 / n))
+
+
+def test_each_verdict_is_given_where_it_is_due() -> None:
+    table = made_study({"a": 0.0, "far": 4.0, "near": 0.1, "less": -4.0}, n_records=30)
+    noisy = made_study({"noisy": 0.0}, seed=0, noise=9.0, n_records=30)
+    group = compared(pd.concat([table, noisy]), reference="a")
+    words = {row.method: row.verdict for row in group.rows}
+    assert words == {
+        "a": "", "far": "worse", "near": "equivalent", "less": "better", "noisy": "undecided"
+    }  # fmt: skip
+    assert "far 4.0" in group.lead()
+    assert "(worse)" in group.lead()
