@@ -84,7 +84,7 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     n = write_figures(pages, folder)
     document = {
         "schema": BENCH_SCHEMA,
-        "machines": given.machines,
+        "machines": rows[0].machines,
         "seed": given.seed,
         "methods": [asdict(row) for row in rows],
         "ranks": asdict(ranks),
@@ -104,7 +104,7 @@ COMMAND = Command(
     arguments=(
         argument(
             "--machines", type=whole(1, 100_000), default=100, metavar="N",
-            help="machines in all (default: 100)",
+            help="machines in all, as many of each rig (default: 100)",
         ),
         argument("--seed", type=whole(0, 2**31), default=0, metavar="S", help="default: 0"),
         METHOD,

@@ -99,7 +99,7 @@ def bench_spec(
     Parameters
     ----------
     machines : int
-        Drawn from each rig in turn, all together so many.
+        So many, rounded up to as many of each rig.
     seed : int
         Of the bench; each machine has a seed of its own from it.
     methods : sequence of str
@@ -124,7 +124,7 @@ def bench_spec(
     return spec_from(
         {
             "schema": "sindy-surge/study/1",
-            "title": f"Bench: {machines} machines drawn at random, seed {seed}",
+            "title": f"Bench: {each * len(names)} machines drawn at random, seed {seed}",
             "seeds": [int(state) for state in states],
             "scores": SCORES,
             "by": ["record.rig"] if len(names) > 1 else [],
