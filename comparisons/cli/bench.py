@@ -71,7 +71,8 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     mean = ", ".join(f"{m} {r:.2f}" for m, r in zip(ranks.methods, ranks.mean, strict=True))
     said = (
         f"mean rank by |error of τ|, a refusal last: {mean}; critical difference "
-        f"{ranks.critical_difference:.2f} (Nemenyi, 5 %)"
+        f"{ranks.critical_difference:.2f} (Nemenyi, 5 %); chance of such ranks if all were alike "
+        f"{significant(ranks.p_value, 2)} (Friedman)"
     )
     shown = Table(
         spec.title, tuple(Head(head, numeric=i > 0) for i, head in enumerate(heads)), cells

@@ -7,6 +7,7 @@ measured ψ' at the first row of each segment. Where a library is not installed,
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any, Self
@@ -81,14 +82,15 @@ def _lagged(
     return np.hstack([past, phi[rows[:, None] + np.append(before, 0)]]), y[rows], rows
 
 
-class _Narx:
+class _Narx(ABC):
     """What networks and FROLS share: inputs of two lags, one step and the free run by it."""
 
     lags = 2
     level_ = 0.0
 
+    @abstractmethod
     def _step(self, inputs: FloatArray) -> FloatArray:
-        raise NotImplementedError
+        """Return ψ' from rows of ψ' and φ before and φ now."""
 
     def predict(
         self,
