@@ -1,15 +1,20 @@
-"""Reconstruction of a record by a model that was fitted to another: validation runs."""
+"""Reconstruction of a record by models that were fitted to another: validation runs."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit
-from comparisons.harness.rows import stack_rows
-from comparisons.results import LagModel, Reconstruction
+from comparisons.harness.rows import averaged_rows, stack_rows
+from comparisons.results import FittedLag, LagModel, Reconstruction
+from surge_core.paired import block_errors, diebold_mariano, paired_difference
 
-__all__ = ["reconstruct_record"]
+__all__ = ["reconstruct_record", "validate_models"]
 
 
 def reconstruct_record(model: LagModel, record: CoefficientSeries) -> Reconstruction:
@@ -23,14 +28,60 @@ def reconstruct_record(model: LagModel, record: CoefficientSeries) -> Reconstruc
         Measured φ drives it; the measured coefficient serves for each segment's start and for
         the score. Its sample rate need not be that of the fit.
 
+    Returns
+    -------
+    Reconstruction
+        On unfiltered rows where the model was fitted to such and the record has them.
+
     Raises
     ------
     InputError
         When the record lacks the coefficient that the model gives, or a channel that it needs.
     """
-    rows = stack_rows([record], model.target)
+    plain = model if isinstance(model, FittedLag) else None
+    unfiltered = averaged_rows([record]) if plain and plain.rows == "unfiltered" else None
+    rows = unfiltered or stack_rows([record], model.target)
     reconstructed = model.free_run_over(rows, [record])
-    low, high = model.valid_phi
-    outside = float(np.mean((rows.phi < low) | (rows.phi > high)))
+    stderr = plain.free_run_stderr(rows) if plain else np.full(rows.phi.size, math.nan)
     score = score_fit(rows.measured, reconstructed)
-    return Reconstruction(model, record, rows, reconstructed, score, outside)
+    return Reconstruction(model, record, rows, reconstructed, score, stderr)
+
+
+def validate_models(
+    models: Iterable[LagModel], records: Iterable[CoefficientSeries]
+) -> list[Reconstruction]:
+    """Run models over other records, and compare those that are scored on the same rows.
+
+    Parameters
+    ----------
+    models : iterable of LagModel
+        Fitted elsewhere.
+    records : iterable of CoefficientSeries
+        The records; a model whose coefficient one lacks is not run on it.
+
+    Returns
+    -------
+    list of Reconstruction
+        Each with its difference to the least error on the same rows of the same record.
+    """
+    chosen, found = list(models), []
+    for record in records:
+        runs = [
+            reconstruct_record(model, record)
+            for model in chosen
+            if model.target == "psi_p" or record.psi is not None
+        ]
+        found += [_against_least(run, runs) for run in runs]
+    return found
+
+
+def _against_least(run: Reconstruction, runs: Sequence[Reconstruction]) -> Reconstruction:
+    alike = [r for r in runs if (r.model.target, r.rows.kind) == (run.model.target, run.rows.kind)]
+    least = min(alike, key=lambda each: each.score.rms)
+    if least is run:
+        return run
+    errors, own = run.rows.measured - run.reconstructed, run.rows.runs
+    other = least.rows.measured - least.reconstructed
+    paired = paired_difference(block_errors(errors, own), block_errors(other, own))
+    p_value = diebold_mariano(errors**2 - other**2, own).p_value
+    return replace(run, difference=paired[0], paired_error=paired[1], p_value=p_value)
