@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from surge_core.leave_out import correlation_length, scatter
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["DieboldMariano", "block_errors", "block_rms", "diebold_mariano", "paired_difference"]
+__all__ = ["block_errors", "block_rms", "compared", "diebold_mariano", "paired_difference"]
 
 MINIMUM_BLOCKS = 6
 MINIMUM_LOSS_BLOCKS, FEWEST_LOSSES = 12, 16
 
 
-class DieboldMariano(NamedTuple):
-    """A test of equal accuracy: Student's t, two-sided p-value, and lags of the variance."""
-
-    statistic: float
-    p_value: float
-    lags: int
-
-
-def diebold_mariano(losses: FloatArray, runs: list[slice]) -> DieboldMariano:
+def diebold_mariano(losses: FloatArray, runs: list[slice]) -> float:
     """Test whether two predictions are equally accurate on average.
 
     Parameters
@@ -37,8 +28,8 @@ def diebold_mariano(losses: FloatArray, runs: list[slice]) -> DieboldMariano:
 
     Returns
     -------
-    DieboldMariano
-        NaN for fewer than 16 rows and for losses that do not differ; lags in blocks.
+    float
+        Two-sided p-value; NaN for fewer than 16 rows and for losses that do not differ.
 
     Notes
     -----
@@ -53,7 +44,7 @@ def diebold_mariano(losses: FloatArray, runs: list[slice]) -> DieboldMariano:
     from scipy.stats import t
 
     if losses.size < FEWEST_LOSSES or not np.ptp(losses):
-        return DieboldMariano(math.nan, math.nan, 0)
+        return math.nan
     mean = float(np.mean(losses))
     sums = np.array([np.sum(losses[b] - mean) for b in _blocks(runs, MINIMUM_LOSS_BLOCKS)])
     n = sums.size
@@ -62,7 +53,7 @@ def diebold_mariano(losses: FloatArray, runs: list[slice]) -> DieboldMariano:
     variance = float(np.mean(dct(sums, norm="ortho")[1 : waves + 1] ** 2))
     corrected = (n + 1 - 2 * lags + lags * (lags - 1) / n) / n
     statistic = mean * losses.size * math.sqrt(corrected / (n * variance))
-    return DieboldMariano(statistic, float(2.0 * t.sf(abs(statistic), waves)), lags)
+    return float(2.0 * t.sf(abs(statistic), waves))
 
 
 def block_errors(
@@ -108,6 +99,24 @@ def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float,
     """
     errors = np.sqrt(_means(blocks)) - np.sqrt(_means(reference))
     return float(errors[0]), _jackknife(errors[1:])
+
+
+def compared(
+    errors: FloatArray, least: FloatArray, runs: list[slice]
+) -> tuple[float, float, float]:
+    """Return the difference of two rms errors on the same rows, its paired error and p-value.
+
+    Parameters
+    ----------
+    errors, least : ndarray of shape (n,)
+        Errors, and those of the least rms; of the same errors the difference is 0.
+    runs : list of slice
+        Segments.
+    """
+    if errors is least or not errors.size:
+        return 0.0, 0.0, math.nan
+    paired = paired_difference(block_errors(errors, runs), block_errors(least, runs))
+    return *paired, diebold_mariano(errors**2 - least**2, runs)
 
 
 def block_rms(blocks: FloatArray) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from comparisons.cli.shared import (
     command_line,
     drawing,
     fitting,
+    measuring,
     read_records,
     reads,
     take_away,
@@ -31,7 +32,6 @@ from comparisons.cli.shared import (
 )
 from surge_core.errors import InputError
 from surge_core.fit_state import WITHHOLDING
-from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -136,7 +136,7 @@ def _compare(
         degree=given.degree,
         estimators=_with_others(given),
         n_twins=_n_twins(given),
-        measuring=_measuring,
+        measuring=measuring,
         **options,
     )
     if any(record.psi is None for record in records):
@@ -154,10 +154,6 @@ def _n_twins(given: argparse.Namespace) -> int:
     from classic_ml.whole_record_fit import N_TWINS
 
     return 0 if given.no_twins else N_TWINS
-
-
-def _measuring(twins: Iterable[int]) -> Iterable[int]:
-    return shown_over(twins, unit="twin", words="measuring twins")
 
 
 def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
@@ -180,7 +176,7 @@ def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
         hold=given.hold,
         time_constant_s=given.tau,
         n_twins=_n_twins(given),
-        measuring=_measuring,
+        measuring=measuring,
     )
     if given.model is not None:
         own += tuple(extended_specs(load_extended(given.model), [spec.name for spec in own]))

@@ -6,7 +6,6 @@ averaged unfiltered rows of whole records. Errors are compared within a kind alo
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -29,7 +28,7 @@ from comparisons.harness.estimators import (
     default_estimators,
     psi_breakpoints,
 )
-from comparisons.harness.fit_quality import score_fit, trusted_range
+from comparisons.harness.fit_quality import rms, score_fit, trusted_range
 from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import (
     Comparison,
@@ -41,7 +40,7 @@ from comparisons.results import (
 )
 from surge_core.fit_state import WITHHOLDING
 from surge_core.lag import Hold
-from surge_core.paired import block_errors, block_rms, diebold_mariano, paired_difference
+from surge_core.paired import block_errors, block_rms, compared
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]
@@ -297,41 +296,20 @@ def _table(
             len(result.failed),
         )
 
+    errors = {result.name: result.held_out_errors for result in results}
     rows = []
     for rank, result in enumerate(sorted(results, key=distrust), start=1):
-        blocks = _held_out_blocks(result)
-        paired, p_value = (0.0, 0.0), math.nan
-        least = _least(results, result)
-        if least is not None and result is not least:
-            paired = paired_difference(blocks, _held_out_blocks(least))
-            losses = result.held_out_errors**2 - least.held_out_errors**2
-            p_value = diebold_mariano(losses, result.held_out_runs).p_value
+        own, runs, kind = errors[result.name], result.held_out_runs, result.rows.kind
+        alike = [errors[r.name] for r in results if r.rows.kind == kind and errors[r.name].size]
+        difference, paired_error, p_value = compared(own, min(alike, key=rms, default=own), runs)
+        held_out = block_rms(block_errors(own, runs))
         tau = result.model.time_constant_s, result.model.time_constant_stderr_s
+        about = result.name, result.label, rank
         row = ComparisonRow(
-            result.name,
-            result.label,
-            rank,
-            *block_rms(blocks),
-            *paired,
-            *tau,
-            _trust(result),
-            result.rows.kind,
-            p_value,
+            *about, *held_out, difference, paired_error, *tau, _trust(result), kind, p_value
         )
         rows.append(row)
     return tuple(rows)
-
-
-def _held_out_blocks(result: EstimatorResult) -> FloatArray:
-    return block_errors(result.held_out_errors, result.held_out_runs)
-
-
-def _least(results: tuple[EstimatorResult, ...], like: EstimatorResult) -> EstimatorResult | None:
-    """Return the result of the least held-out error on rows of the same kind; None without one."""
-    if like.held_out is None:
-        return None
-    same = [r for r in results if r.held_out is not None and r.rows.kind == like.rows.kind]
-    return min(same, key=lambda result: result.held_out.rms if result.held_out else math.inf)
 
 
 def _trust(result: EstimatorResult) -> str:

@@ -12,9 +12,11 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit
 from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import FittedLag, LagModel, Reconstruction
-from surge_core.paired import block_errors, diebold_mariano, paired_difference
+from surge_core.paired import compared
 
 __all__ = ["reconstruct_record", "validate_models"]
+
+NORMAL_95 = 1.96
 
 
 def reconstruct_record(model: LagModel, record: CoefficientSeries) -> Reconstruction:
@@ -42,9 +44,12 @@ def reconstruct_record(model: LagModel, record: CoefficientSeries) -> Reconstruc
     unfiltered = averaged_rows([record]) if plain and plain.rows == "unfiltered" else None
     rows = unfiltered or stack_rows([record], model.target)
     reconstructed = model.free_run_over(rows, [record])
-    stderr = plain.free_run_stderr(rows) if plain else np.full(rows.phi.size, math.nan)
+    band = wide = np.full(rows.phi.size, math.nan)
+    if plain is not None:
+        band = plain.quantile * plain.free_run_stderr(rows)
+        wide = np.hypot(band, NORMAL_95 * plain.free_run_rms)
     score = score_fit(rows.measured, reconstructed)
-    return Reconstruction(model, record, rows, reconstructed, score, stderr)
+    return Reconstruction(model, record, rows, reconstructed, score, band, wide)
 
 
 def validate_models(
@@ -80,8 +85,6 @@ def _against_least(run: Reconstruction, runs: Sequence[Reconstruction]) -> Recon
     least = min(alike, key=lambda each: each.score.rms)
     if least is run:
         return run
-    errors, own = run.rows.measured - run.reconstructed, run.rows.runs
-    other = least.rows.measured - least.reconstructed
-    paired = paired_difference(block_errors(errors, own), block_errors(other, own))
-    p_value = diebold_mariano(errors**2 - other**2, own).p_value
-    return replace(run, difference=paired[0], paired_error=paired[1], p_value=p_value)
+    errors, other = (each.rows.measured - each.reconstructed for each in (run, least))
+    difference, paired_error, p_value = compared(errors, other, run.rows.runs)
+    return replace(run, difference=difference, paired_error=paired_error, p_value=p_value)

@@ -87,8 +87,8 @@ def averaged_rows(
     Returns
     -------
     FitRows or None
-        φ and ψ' averaged over one period of the stall cells; None where a record lacks its
-        unfiltered columns.
+        φ and ψ' averaged over one period of the stall cells; None without such rows, or where a
+        record lacks its unfiltered columns.
     """
     if not all(map(has_whole_run, records)):
         return None
@@ -107,6 +107,8 @@ def averaged_rows(
     phi, psi_p, time_s, labels, record_index, train, keep = map(
         np.concatenate, zip(*parts, strict=True)
     )
+    if not phi.size:
+        return None
     averaged = partial(_averaged, tuple(records), keep)
     signals = phi, psi_p, time_s, labels, record_index
     return FitRows(*signals, records[0].sample_period_s, "psi_p", train, averaged)

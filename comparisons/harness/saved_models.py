@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, ConfigDict, Field, WrapValidator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, WrapValidator
 
 from comparisons.results import FittedLag, LagModel
 from surge_core.errors import InputError
@@ -120,20 +120,9 @@ class SavedLag(SavedModel):
     )
     hold: Literal["zero", "first"] = Field(description='the hold "zero" or "first"')
     dead_time_s: float = Field(default=0.0, description="a dead time in s")
-    covariance: list[list[float]] = Field(default=[], description="of τ and the coefficients")
+    covariance: list[float] = Field(default=[], description="of τ and each term, row by row")
     rows: Literal["filtered", "unfiltered"] = "filtered"
     free_run_rms: Annotated[float, Field(ge=0.0), NULLABLE] = math.nan
-
-    @model_validator(mode="after")
-    def _square(self) -> SavedLag:
-        sizes = {len(self.covariance), *map(len, self.covariance)}
-        if sizes not in ({0}, {len(self.terms) + 1}):
-            raise InputError(
-                "covariance",
-                expected="rows and columns of τ and each term, or none",
-                found=f"{len(self.covariance)} rows",
-            )
-        return self
 
     def lag(self) -> FittedLag:
         """Return the model as a value."""
@@ -142,7 +131,7 @@ class SavedLag(SavedModel):
             time_constant_s=self.time_constant_s,
             hold=self.hold,
             dead_time_s=self.dead_time_s,
-            covariance=tuple(map(tuple, self.covariance)),
+            covariance=tuple(self.covariance),
             rows=self.rows,
             free_run_rms=self.free_run_rms,
             **self.common(),

@@ -86,8 +86,8 @@ class FittedLag:
         How much later than φ the coefficient was measured, in seconds; negative if φ was late.
     interval_s : tuple of float, optional
         95 % interval of τ, where the estimator states its own.
-    covariance : tuple of tuple of float
-        Of τ in seconds and the β_i, in that order; empty where it is not known.
+    covariance : tuple of float
+        Of τ in seconds and the β_i, in that order, row by row; empty where it is not known.
     rows : {"filtered", "unfiltered"}
         Which signals it was fitted to.
     free_run_rms : float
@@ -107,7 +107,7 @@ class FittedLag:
     n_blocks: int = 0
     dead_time_s: float = 0.0
     interval_s: tuple[float, float] | None = None
-    covariance: tuple[tuple[float, ...], ...] = ()
+    covariance: tuple[float, ...] = ()
     rows: Literal["filtered", "unfiltered"] = "filtered"
     free_run_rms: float = math.nan
 
@@ -262,9 +262,11 @@ class FittedLag:
         rows : FitRows
             The rows.
         """
-        covariance = np.asarray(self.covariance)
-        if not (self._knows_terms and covariance.size and math.isfinite(self.time_constant_s)):
+        n = len(self.terms) + 1
+        known = self._knows_terms and math.isfinite(self.time_constant_s)
+        if not known or len(self.covariance) != n * n:
             return np.full(rows.phi.size, math.nan)
+        covariance = np.reshape(self.covariance, (n, n))
         inputs = rows.terms(lambda phi: evaluate_terms(list(self.terms), phi))
         lag = FirstOrderLag(self.time_constant_s, rows.sample_period_s, self.hold)
         variance = np.empty(rows.phi.size)
@@ -331,13 +333,13 @@ class FittedLag:
             "n_blocks": self.n_blocks,
             "dead_time_s": self.dead_time_s,
             "characteristic": [list(row) for row in self.table],
-            "covariance": [list(row) for row in self.covariance],
+            "covariance": list(self.covariance),
             "rows": self.rows,
             "free_run_rms": self.free_run_rms,
         }
 
 
-def _joint_covariance(estimator: Any) -> tuple[tuple[float, ...], ...]:
+def _joint_covariance(estimator: Any) -> tuple[float, ...]:
     """Return the covariance of τ and the coefficients, uncorrelated where it is not said."""
     from scipy.linalg import block_diag
 
@@ -345,8 +347,7 @@ def _joint_covariance(estimator: Any) -> tuple[tuple[float, ...], ...]:
     if joint is None:
         stderr_s = float(estimator.time_constant_stderr_s_)
         joint = block_diag([[stderr_s**2]], np.asarray(estimator.covariance_))
-    known = bool(np.all(np.isfinite(joint)))
-    return tuple(map(tuple, joint.tolist())) if known else ()
+    return tuple(np.ravel(joint).tolist()) if np.all(np.isfinite(joint)) else ()
 
 
 def _term(name: str, value: float, stderr: float) -> str:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results.comparison import difference_cells
-from comparisons.results.lag import FittedLag, LagModel
+from comparisons.results.lag import LagModel
 from comparisons.results.names import SYMBOLS, estimator_label
 from comparisons.results.rows import FitRows, FitScore
 from surge_core.display import Grid
@@ -21,8 +21,6 @@ from surge_core.rounding import NOT_KNOWN, significant
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["RECONSTRUCTION_COLUMNS", "Reconstruction", "reconstruction_grids"]
-
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,10 @@ class Reconstruction:
         Free run from measured φ and each segment's measured start.
     score : FitScore
         How well it matches.
-    stderr : ndarray of shape (n,)
-        Standard error of the free run by the covariance of the fit; NaN where that is not known.
+    band, wide_band : ndarray of shape (n,)
+        Half the width of the pointwise 95 % band: where the free run lies by the covariance of
+        the fit, and where the measurement is to be expected, with the error of the free run over
+        the model's own rows; NaN where that is not known.
     difference, paired_error, p_value : float
         Of its rms to the least one on the same rows, with its paired jackknife error and the
         p-value of Diebold and Mariano's test; 0 and NaN for the least one.
@@ -54,7 +54,8 @@ class Reconstruction:
     rows: FitRows
     reconstructed: FloatArray
     score: FitScore
-    stderr: FloatArray
+    band: FloatArray
+    wide_band: FloatArray
     difference: float = 0.0
     paired_error: float = 0.0
     p_value: float = math.nan
@@ -81,30 +82,15 @@ class Reconstruction:
         """Corrected speed at the first row of the record, as a share of design; NaN unknown."""
         return math.nan if self.record.Nc_frac is None else float(self.record.Nc_frac[0])
 
-    def band(self, *, scatter: bool = False) -> FloatArray:
-        """Return half the width of the pointwise 95 % band, of shape (n,); NaN where not known.
-
-        Parameters
-        ----------
-        scatter : bool
-            Whether the error of the model's free run over its own rows is part of it: without it
-            the band says where the free run lies, with it where the measurement is to be expected.
-        """
-        if not isinstance(self.model, FittedLag):
-            return np.full(self.stderr.size, math.nan)
-        own = self.model.quantile * self.stderr
-        return np.hypot(own, NORMAL_95 * self.model.free_run_rms) if scatter else own
-
-    def inside(self, *, scatter: bool = False) -> float:
-        """Return the share of the rows whose measurement lies inside the band; NaN without one."""
-        band = self.band(scatter=scatter)
-        if not np.all(np.isfinite(band)):
+    def inside(self, band: FloatArray) -> float:
+        """Return the share of the rows whose measurement lies inside a band; NaN without one."""
+        if np.any(np.isnan(band)):
             return math.nan
         return float(np.mean(np.abs(self.rows.measured - self.reconstructed) <= band))
 
     def to_csv(self) -> str:
         """Return the reconstruction as a CSV table, beside what was measured."""
-        rows, target, band = self.rows, self.model.target, self.band()
+        rows, target, band = self.rows, self.model.target, self.band
         columns = {
             "time_s": rows.time_s,
             "segment": rows.labels,
@@ -135,8 +121,8 @@ class Reconstruction:
                 "paired_error": self.paired_error,
                 "p_value": self.p_value,
             },
-            "inside_band95": self.inside(),
-            "inside_band95_with_scatter": self.inside(scatter=True),
+            "inside_band95": self.inside(self.band),
+            "inside_band95_with_scatter": self.inside(self.wide_band),
             "outside_valid_phi": self.outside,
             "rows_outside_valid_phi": int(np.count_nonzero(self.beyond)),
         }
@@ -177,8 +163,8 @@ def reconstruction_grids(runs: Sequence[Reconstruction]) -> tuple[Grid, ...]:
             significant(run.score.rms, 3),
             f"{run.score.fit_percent:.1f}",
             *difference_cells(run.difference, run.paired_error, run.p_value),
-            _percent(run.inside()),
-            _percent(run.inside(scatter=True)),
+            _percent(run.inside(run.band)),
+            _percent(run.inside(run.wide_band)),
             f"{np.count_nonzero(run.beyond)} ({_percent(run.outside)})",
         )
         groups.setdefault(run.title, []).append(row)

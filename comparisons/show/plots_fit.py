@@ -175,7 +175,7 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
     figure = new_figure(height_in=6.6)
     upper, lower = figure.subplots(2, 1)
     shade(dress(lower), time_s, best.beyond, r"$\varphi$ beyond where it dwelt in the fit")
-    colour, band = styles[best.model.estimator].colour, best.band()
+    colour, band = styles[best.model.estimator].colour, best.band
     for number, run in enumerate(rows.runs if np.all(np.isfinite(band)) else ()):
         ends = (best.reconstructed - band)[run], (best.reconstructed + band)[run]
         label = "its 95 % band" if number == 0 else None

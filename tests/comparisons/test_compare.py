@@ -177,11 +177,12 @@ def test_reconstruction_of_another_record() -> None:
     marked = sum(line.endswith(",1") for line in lines)
     assert marked == np.count_nonzero(result.beyond) == result.to_json()["rows_outside_valid_phi"]
     # The free run is known far better than one row is measured; rows scatter as in the fit.
-    assert result.inside() < 0.7
-    assert result.inside(scatter=True) == pytest.approx(0.95, abs=0.03)
+    assert result.inside(result.band) < 0.7
+    assert result.inside(result.wide_band) == pytest.approx(0.95, abs=0.03)
     wrong = FittedLag(**{**model.__dict__, "time_constant_s": 0.243})
-    assert reconstruct_record(wrong, series(12)).score.rms > 5 * result.score.rms
-    assert reconstruct_record(wrong, series(12)).inside(scatter=True) < 0.5
+    far = reconstruct_record(wrong, series(12))
+    assert far.score.rms > 5 * result.score.rms
+    assert far.inside(far.wide_band) < 0.5
 
 
 def test_models_on_the_same_rows_are_compared_in_pairs() -> None:

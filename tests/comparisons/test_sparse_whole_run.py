@@ -209,7 +209,7 @@ def test_each_is_scored_on_the_rows_that_it_was_fitted_to(folder: Path) -> None:
     same, other = (runs[record.source, "classic_ml"] for record in records)
     assert same.rows.kind == other.rows.kind == "unfiltered"
     assert same.score.r2 > 0.8
-    assert same.inside(scatter=True) > 2.0 * other.inside(scatter=True)
+    assert same.inside(same.wide_band) > 2.0 * other.inside(other.wide_band)
     assert runs[records[0].source, "paper"].rows.kind == "filtered"
 
 

@@ -30,7 +30,7 @@ def cycles(rng: np.random.Generator, shape: np.ndarray, n: int) -> np.ndarray:
 def rejected(one: list[np.ndarray], other: list[np.ndarray], n_segments: int = 1) -> float:
     edges = np.linspace(0, one[0].size, n_segments + 1).astype(int)
     runs = [slice(low, high) for low, high in pairwise(edges)]
-    found = [diebold_mariano(a**2 - b**2, runs).p_value for a, b in zip(one, other, strict=True)]
+    found = [diebold_mariano(a**2 - b**2, runs) for a, b in zip(one, other, strict=True)]
     return float(np.mean(np.array(found) < LEVEL))
 
 
@@ -58,4 +58,4 @@ def test_a_known_difference_is_found() -> None:
     assert 0.25 < rejected(far, one) < 0.65
     # What makes a row hard is hard for both.
     assert rejected(near, one) == 1.0
-    assert np.isnan(diebold_mariano(np.zeros(100), [slice(0, 100)]).p_value)
+    assert np.isnan(diebold_mariano(np.zeros(100), [slice(0, 100)]))
