@@ -193,17 +193,16 @@ class Command:
         InputError
             Naming the file.
         """
+        typed = [(each, getattr(given, each.name)) for each in self.arguments]
         read: list[Path] = []
-        for each in self.arguments:
-            value = getattr(given, each.name)
+        for each, value in typed:
             if each.read and value is not None:
                 read += value if isinstance(value, list) else [value]
         for path in read:
             if not path.exists():
                 raise InputError(str(path), expected="a file that exists", found="no such file")
         written = []
-        for each in self.arguments:
-            path = getattr(given, each.name)
+        for each, path in typed:
             if each.written and path is not None:
                 check_target(path, each.suffixes)
                 written.append(path)
