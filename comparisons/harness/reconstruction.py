@@ -76,6 +76,8 @@ def validate_models(
             for model in chosen
             if model.target == "psi_p" or record.psi is not None
         ]
+        # Models that are scored on the same rows stand together.
+        runs.sort(key=lambda run: run.rows.kind, reverse=True)
         found += [_against_least(run, runs) for run in runs]
     return found
 
