@@ -131,14 +131,7 @@ def _compare(
         "time_constant_s": given.tau,
         "progress": fitting,
     }
-    comparison = compare_records(
-        records,
-        degree=given.degree,
-        estimators=_with_others(given),
-        n_twins=_n_twins(given),
-        measuring=measuring,
-        **options,
-    )
+    comparison = compare_records(records, estimators=_specs(given), **options)
     if any(record.psi is None for record in records):
         return comparison, None
     if _by_rise(records) and not (given.json or given.save):
@@ -150,16 +143,9 @@ def _compare(
         return comparison, None
 
 
-def _n_twins(given: argparse.Namespace) -> int:
+def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
+    """Return the default estimators, --model's and --method's."""
     from classic_ml.whole_record_fit import N_TWINS
-
-    return 0 if given.no_twins else N_TWINS
-
-
-def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
-    """Return the default estimators, --model's and --method's; None without these options."""
-    if given.model is None and not given.method:
-        return None
     from comparisons.harness.estimators import default_estimators
     from comparisons.harness.methods import method_spec
     from comparisons.missing_effect.extended_estimator import extended_specs
@@ -175,7 +161,7 @@ def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
         degree=given.degree,
         hold=given.hold,
         time_constant_s=given.tau,
-        n_twins=_n_twins(given),
+        n_twins=0 if given.no_twins else N_TWINS,
         measuring=measuring,
     )
     if given.model is not None:
@@ -191,7 +177,7 @@ COMMAND = Command(
     "compare",
     help="fit the estimators to the same series and set them side by side",
     description="Fit the paper's maximum-likelihood lag model and the sparse regression to the "
-    "same rows: characteristics, time constants, reconstructions, held-out errors.",
+    "same record: characteristics, time constants, reconstructions, held-out errors.",
     arguments=(
         SERIES,
         JSON,

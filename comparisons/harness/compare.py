@@ -41,6 +41,7 @@ from comparisons.results import (
 from surge_core.fit_state import WITHHOLDING
 from surge_core.lag import Hold
 from surge_core.paired import block_errors, block_rms, compared
+from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]
@@ -296,10 +297,14 @@ def _table(
             len(result.failed),
         )
 
-    errors = {result.name: result.held_out_errors for result in results}
-    rows = []
+    errors, rows = {}, []
+    for result in results:
+        left_out = ~result.rows.train & (result.held_out is not None)
+        errors[result.name] = (result.rows.measured - result.trained)[left_out]
     for rank, result in enumerate(sorted(results, key=distrust), start=1):
-        own, runs, kind = errors[result.name], result.held_out_runs, result.rows.kind
+        own, kind = errors[result.name], result.rows.kind
+        labels = result.rows.labels[~result.rows.train]
+        runs = runs_of(labels, labels.size) if own.size else []
         alike = [errors[r.name] for r in results if r.rows.kind == kind and errors[r.name].size]
         difference, paired_error, p_value = compared(own, min(alike, key=rms, default=own), runs)
         held_out = block_rms(block_errors(own, runs))

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from pathlib import PurePath
 
-import numpy as np
-
 from classic_ml.checks import CheckRow
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record_run import Reading
@@ -19,7 +17,6 @@ from comparisons.results.rows import FitRows, FitScore
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
-from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
 __all__ = ["COLUMNS", "Comparison", "ComparisonRow", "EstimatorResult", "difference_cells"]
@@ -95,18 +92,6 @@ class EstimatorResult:
     whole_run: WholeRunFit | None = None
     remarks: tuple[str, ...] = ()
     extended: LagModel | None = None
-
-    @property
-    def held_out_errors(self) -> FloatArray:
-        """Errors of the free run on the rows held out; empty where there were too few."""
-        held_out = ~self.rows.train & (self.held_out is not None)
-        return np.asarray((self.rows.measured - self.trained)[held_out])
-
-    @property
-    def held_out_runs(self) -> list[slice]:
-        """Rows of each segment of these errors."""
-        labels = self.rows.labels[~self.rows.train & (self.held_out is not None)]
-        return runs_of(labels, labels.size) if labels.size else []
 
     @property
     def converged(self) -> bool:
