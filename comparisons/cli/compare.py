@@ -68,7 +68,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
     if given.save:
-        save_models(models_to_save(comparison, work), given.save, comparison.recommended)
+        models = models_to_save(comparison, work)
+        save_models(models, given.save, comparison.recommended, records)
         written.append(f"models: {given.save}")
     written += take_away(given.figures, pages, answer)
     lines = [str(answer), "", *comparison_lines(comparison, stated)]

@@ -32,14 +32,17 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import read_series
     from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import validate_models
-    from comparisons.harness.saved_models import recommended_model
+    from comparisons.harness.saved_models import about_models
     from comparisons.show.table import reconstruction_table
 
-    models = _chosen(load_any_models(given.model), given.estimator)
-    recommended = recommended_model(given.model)
-    models = dict(sorted(models.items(), key=lambda item: item[0] != recommended))
+    models, only = load_any_models(given.model), given.estimator
+    if only not in (None, *models):
+        raise InputError("--estimator", expected="one of " + ", ".join(models), found=only)
+    recommended, fitted = about_models(given.model)
+    names = sorted(models, key=lambda name: name != recommended)
+    models = {name: models[name] for name in names if only in (None, name)}
     records = [read_series(path) for path in given.series]
-    runs = validate_models(models.values(), shown_over(records, unit="record"))
+    runs = validate_models(models.values(), shown_over(records, unit="record"), fitted)
     if not runs:
         raise InputError(
             ", ".join(record.source for record in records),
@@ -61,14 +64,6 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     )
     words = f"recommended by compare: {recommended}, whose τ and curve are to be quoted."
     return reconstruction_table(runs), *([words] if recommended in models else []), *written
-
-
-def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
-    if name is None:
-        return models
-    if name not in models:
-        raise InputError("--estimator", expected="one of " + ", ".join(models), found=name)
-    return {name: models[name]}
 
 
 def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,7 +53,9 @@ def reconstruct_record(model: LagModel, record: CoefficientSeries) -> Reconstruc
 
 
 def validate_models(
-    models: Iterable[LagModel], records: Iterable[CoefficientSeries]
+    models: Iterable[LagModel],
+    records: Iterable[CoefficientSeries],
+    fitted: Collection[float] = (),
 ) -> list[Reconstruction]:
     """Run models over other records, and compare those that are scored on the same rows.
 
@@ -63,6 +65,8 @@ def validate_models(
         Fitted elsewhere.
     records : iterable of CoefficientSeries
         The records; a model whose coefficient one lacks is not run on it.
+    fitted : collection of float
+        Mean φ of the records that the models were fitted to.
 
     Returns
     -------
@@ -78,7 +82,8 @@ def validate_models(
         ]
         # Models that are scored on the same rows stand together.
         runs.sort(key=lambda run: run.rows.kind, reverse=True)
-        found += [_against_least(run, runs) for run in runs]
+        seen = float(np.mean(record.phi)) in fitted
+        found += [replace(_against_least(run, runs), seen=seen) for run in runs]
     return found
 
 

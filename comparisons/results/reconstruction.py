@@ -47,6 +47,8 @@ class Reconstruction:
     difference, paired_error, p_value : float
         Of its rms to the least one on the same rows, with its paired jackknife error and the
         p-value of Diebold and Mariano's test; 0 and NaN for the least one.
+    seen : bool
+        Whether the model was fitted to this very record.
     """
 
     model: LagModel
@@ -59,6 +61,7 @@ class Reconstruction:
     difference: float = 0.0
     paired_error: float = 0.0
     p_value: float = math.nan
+    seen: bool = False
 
     @property
     def beyond(self) -> BoolArray:
@@ -75,7 +78,8 @@ class Reconstruction:
     def title(self) -> str:
         """Coefficient, record and speed."""
         speed = f" at {_percent(self.speed, 1)} speed" if math.isfinite(self.speed) else ""
-        return f"{SYMBOLS[self.model.target]} of {PurePath(self.record.source).name}{speed}"
+        seen = ", to which the models were fitted" if self.seen else ""
+        return f"{SYMBOLS[self.model.target]} of {PurePath(self.record.source).name}{speed}{seen}"
 
     @property
     def speed(self) -> float:
@@ -109,6 +113,7 @@ class Reconstruction:
         return {
             "record": self.record.source,
             "speed": self.speed,
+            "fitted_to_it": self.seen,
             "estimator": self.model.estimator,
             "target": self.model.target,
             "time_constant_s": self.model.time_constant_s,

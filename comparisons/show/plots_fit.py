@@ -197,10 +197,10 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
     return Picture.of(
         f"Validation: {best.title}, {rows.kind} rows",
         figure,
-        f"Measured {best.title}, {rows.kind} rows, and free runs of models fitted elsewhere; rms "
+        f"Measured {best.title}, {rows.kind} rows, and free runs of saved models; rms "
         f"{scores}. In {100.0 * best.outside:.0f} % of the rows φ lies beyond where it "
         "dwelt in the fit.",
-        f"Nothing was fitted to this record. Above {estimator_label(best.model.estimator)} over "
+        f"Nothing was refitted. Above {estimator_label(best.model.estimator)} over "
         "the whole record, below all models of such rows in its middle, with the pointwise 95 % "
         "band of the first by the covariance of its τ and coefficients: it says where the free run "
         "lies, not how far the measurement scatters. Shaded: φ beyond where it dwelt in the fit "

@@ -86,7 +86,7 @@ def validation_tables(runs: Sequence[Reconstruction]) -> tuple[Table, ...]:
     named = [(estimator_label(run.model.estimator), run.model.estimator) for run in runs]
     tables, meanings = [], RECONSTRUCTION_COLUMNS
     for grid in reconstruction_grids(runs):
-        caption = f"{grid.title}, by models fitted elsewhere, nothing refitted"
+        caption = f"{grid.title}; nothing refitted"
         table = Table.of(grid, caption=caption, meanings=meanings, zero="least")
         own, named = named[: len(grid.rows)], named[len(grid.rows) :]
         tables.append(_with_names(table, own))
