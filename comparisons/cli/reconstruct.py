@@ -50,11 +50,9 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             found="none",
         )
     if given.out and len(runs) > 1:
+        remedy = "name one record and one --estimator of " + ", ".join(models)
         raise InputError(
-            "--out",
-            expected="one reconstruction",
-            found=f"{len(runs)}",
-            remedy="name one record and one --estimator of " + ", ".join(models),
+            "--out", expected="one reconstruction", found=str(len(runs)), remedy=remedy
         )
     written = write_asked(
         given,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -79,7 +78,7 @@ class Reconstruction:
         """Coefficient, record and speed."""
         speed = f" at {_percent(self.speed, 1)} speed" if math.isfinite(self.speed) else ""
         seen = ", to which the models were fitted" if self.seen else ""
-        return f"{SYMBOLS[self.model.target]} of {PurePath(self.record.source).name}{speed}{seen}"
+        return f"{SYMBOLS[self.model.target]} of {self.record.source}{speed}{seen}"
 
     @property
     def speed(self) -> float:

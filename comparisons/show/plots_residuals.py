@@ -37,7 +37,7 @@ def errors_in_time(comparison: Comparison) -> Picture:
     by_clock = bool(np.all(np.diff(rows.time_s) > 0.0))
     axes: dict[str, FloatArray] = {}
     for each in (result.rows for result in results):
-        counted = each.sample_period_s * np.arange(each.phi.size, dtype=np.float64)
+        counted = rows.sample_period_s * np.arange(each.phi.size, dtype=np.float64)
         axes[each.kind] = each.time_s if by_clock else counted
     styles = estimator_styles(result.name for result in results)
     figure = new_figure(height_in=1.1 + 1.35 * len(results))

@@ -83,13 +83,12 @@ def validation_tables(runs: Sequence[Reconstruction]) -> tuple[Table, ...]:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    named = [(estimator_label(run.model.estimator), run.model.estimator) for run in runs]
     tables, meanings = [], RECONSTRUCTION_COLUMNS
     for grid in reconstruction_grids(runs):
         caption = f"{grid.title}; nothing refitted"
         table = Table.of(grid, caption=caption, meanings=meanings, zero="least")
-        own, named = named[: len(grid.rows)], named[len(grid.rows) :]
-        tables.append(_with_names(table, own))
+        own = [run.model.estimator for run in runs if run.title == grid.title]
+        tables.append(_with_names(table, ((estimator_label(name), name) for name in own)))
     return tuple(tables)
 
 
