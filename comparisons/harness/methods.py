@@ -158,6 +158,11 @@ class OwnFit:
         return getattr(self.estimator, "fit_state_", None)
 
     @property
+    def cautions_(self) -> tuple[str, ...]:
+        """What it warns of."""
+        return tuple(map(str, getattr(self.estimator, "cautions_", ())))
+
+    @property
     def time_constant_s_(self) -> float:
         """τ in s; NaN where it has none."""
         return float(getattr(self.estimator, "time_constant_s_", NAN))

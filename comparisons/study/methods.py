@@ -83,6 +83,7 @@ def scores_of(
     out: dict[str, Any] = {
         "state": "ok" if result.state == "converged" else result.state,
         "reason": "" if result.state == "converged" else result.advice,
+        "scored": result.rows.kind,
         "tau_ms": 1e3 * model.time_constant_s,
         "tau_stderr_ms": 1e3 * model.time_constant_stderr_s,
         "free_run_rms": result.free_run.rms,
