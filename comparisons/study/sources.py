@@ -183,7 +183,8 @@ def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
     # What is no parabola has a shape, and a loss in reversed flow is an effect of its own.
     bent = ("characteristic_shape",) if curve or len(truth.get("beta", ())) > 3 else ()
     lossy = ("reverse_flow_branch",) if truth.get("reverse_loss") else ()
-    effects = frozenset((*truth.get("effects", ()), *bent, *lossy))
+    hidden = (truth["hidden"]["effect"],) if "hidden" in truth else ()
+    effects = frozenset((*truth.get("effects", ()), *hidden, *bent, *lossy))
     return Made((), raw, float(truth["tau_s"]), beta, curve, effects)
 
 

@@ -24,7 +24,9 @@ from comparisons.rig import CASES, SensorSettings, simulate
 from comparisons.rig.cases import RigCase
 
 # What the rig, reduced and fitted the paper's way, does not show.
-DO_NOT_HOLD = {31, 35, 36, 37, 38, 39, 42, 43, 46, 48}
+# Claim 45 holds there and not on the one other machine that the test takes for the command's four,
+# on which 31, 46 and 48 do not hold.
+DO_NOT_HOLD = {35, 36, 37, 38, 39, 42, 43, 45}
 
 
 @pytest.fixture(scope="module")
