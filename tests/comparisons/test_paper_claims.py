@@ -24,8 +24,8 @@ from comparisons.rig import CASES, SensorSettings, simulate
 from comparisons.rig.cases import RigCase
 
 # What the rig, reduced and fitted the paper's way, does not show.
-# Claim 45 holds there and not on the one other machine that the test takes for the command's four,
-# on which 31, 46 and 48 do not hold.
+# On the one machine that the test takes for the command's four, 45 does not hold, while 31, 46 and
+# 48 do, which fail on most of the four.
 DO_NOT_HOLD = {35, 36, 37, 38, 39, 42, 43, 45}
 
 
