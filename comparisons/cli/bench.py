@@ -10,6 +10,7 @@ from pathlib import Path
 from comparisons.cli.shared import (
     JSON,
     METHOD,
+    SCHEDULER,
     Command,
     argument,
     check_folder,
@@ -59,7 +60,12 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     check_study(spec, folder, resume=given.resume)
     with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
         table = run_study(
-            spec, folder, jobs=given.jobs or cpu_count(), resume=given.resume, progress=progress
+            spec,
+            folder,
+            jobs=given.jobs or cpu_count(),
+            scheduler=given.scheduler,
+            resume=given.resume,
+            progress=progress,
         )
     rows, ranks = bench_rows(table), ranks_of(table)
     names = [field.name for field in fields(BenchRow)]
@@ -124,6 +130,7 @@ COMMAND = Command(
             "--jobs", type=whole(1, 1024), default=0, metavar="N",
             help="worker processes (default: one a core)",
         ),
+        SCHEDULER,
         JSON,
     ),
     run=_run,

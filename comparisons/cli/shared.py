@@ -28,6 +28,7 @@ __all__ = [
     "METHOD",
     "RAW",
     "REPORT",
+    "SCHEDULER",
     "SERIES",
     "Argument",
     "Command",
@@ -228,6 +229,11 @@ FIGURES = argument(
     metavar="DIR",
     help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
     "characteristic as a lookup table (CSV, JSON)",
+)
+SCHEDULER = argument(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask scheduler whose workers do the work instead",
 )
 METHOD = argument(
     "--method",
