@@ -39,6 +39,10 @@ COLUMNS = {
 }
 
 
+# Differences of ψ' below this are no differences: solvers end at about 1e-9 of its range.
+SAME_RMS = 1e-7
+
+
 @dataclass(frozen=True)
 class EstimatorResult:
     """What one estimator made of the rows.
@@ -264,6 +268,9 @@ def difference_cells(difference: float, paired_error: float, p_value: float) -> 
     """Return a difference to the least error and its p-value as a table shows them."""
     if difference == 0.0:
         return "least", ""
+    # Two fits of the same rows by the same equation: what is left is how they were solved.
+    if abs(difference) < SAME_RMS and not paired_error > SAME_RMS:
+        return "alike", ""
     p = NOT_KNOWN if math.isnan(p_value) else f"{p_value:.3f}" if p_value >= 0.001 else "< 0.001"
     return round_to_error(difference, paired_error), p
 

@@ -182,4 +182,4 @@ def test_rows_table_and_block_agree() -> None:
     text = claims_table(claims)
     assert "1 tested, of which 0 hold; 0 conformance and 1 built in" in text
     assert max(len(line) for line in text.splitlines()) <= 118
-    assert claims_block(claims).marks == ("", "failed")
+    assert claims_block(claims).marks == ("failed", "")
