@@ -198,6 +198,8 @@ class Bench:
             searched=searched,
             episodes=phases,
         )
+        if fit.structure.at_end(fit.nonlinear):
+            evidence = replace(evidence, at_end=True)
         return Candidate(tuple(added), fit, errors, evidence)
 
     def everywhere(self) -> Bench:

@@ -102,6 +102,8 @@ class Evidence:
         What that share must reach there, in place of the chance and of z.
     many_blocks : bool
         Whether several held-out blocks speak for it by themselves, and hardly one against it.
+    at_end : bool
+        Whether τ ran to the end of its search: what is left is no lag, and no name stands on it.
     """
 
     train: float
@@ -113,10 +115,13 @@ class Evidence:
     share: float = float("nan")
     least_share: float = float("nan")
     many_blocks: bool = False
+    at_end: bool = False
 
     @property
     def accepted(self) -> bool:
         """Whether likelihood, later time and the other record all speak for it."""
+        if self.at_end:
+            return False
         held_out = self.later > 0.0 and not self.other <= 0.0
         if self.least_share == self.least_share:
             return held_out and self.share >= self.least_share

@@ -272,6 +272,8 @@ def _rank(candidate: Candidate) -> float:
 
 
 def _refused_on(e: Evidence) -> tuple[str, ...]:
+    if e.at_end:
+        return ("τ at the end of its search",)
     by_share = not math.isnan(e.least_share)
     rows = []
     if by_share and not e.share >= e.least_share:

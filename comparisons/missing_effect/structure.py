@@ -15,6 +15,10 @@ from surge_core.types import FloatArray
 __all__ = ["Structure"]
 
 
+# log τ nearer than this to a bound is at it: a hundredth of τ, less than any fit states.
+AT_END = 0.01
+
+
 @dataclass(frozen=True)
 class Structure:
     """Terms of the characteristic and effects, without numbers.
@@ -47,6 +51,11 @@ class Structure:
         rows = [(np.log(1e-5), np.log(1e3))]
         rows += [(p.low, p.high) for effect in self.effects for p in effect.nonlinear]
         return np.array(rows)
+
+    def at_end(self, nonlinear: FloatArray) -> bool:
+        """Whether τ lies at the end of its search."""
+        low, high = self.bounds[0]
+        return not low + AT_END < nonlinear[0] < high - AT_END
 
     @property
     def steps(self) -> FloatArray:

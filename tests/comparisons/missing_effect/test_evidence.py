@@ -137,6 +137,7 @@ def test_every_witness_is_needed() -> None:
     for change in (
         {"later": -0.1},
         {"later": 0.0},
+        {"at_end": True},
         {"other": -0.1},
         {"other": 0.0},
         {"p_value": 1e-3},
