@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit
+from classic_ml.units import COMMON_UNITS, COUNT, Conversion, conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.models import Table
 
@@ -106,8 +106,8 @@ class Converter(Table):
     """``[adc]``: the analogue-to-digital converter."""
 
     bits: int = key("a whole number from 4 to 32", ge=4, le=32)
-    low_V: float
-    high_V: float
+    low_V: float = key("a voltage in V")
+    high_V: float = key("a voltage in V")
 
     @model_validator(mode="after")
     def _upwards(self) -> Converter:
@@ -173,9 +173,9 @@ class _Channel(Table):
 
     name: str = ""
     column: Text = ""
-    unit: Text
+    unit: Text = key('"count", or a unit such as psia or degF')
     plane: Literal[25, 31] = key("25 or 31")
-    rake: Text
+    rake: Text = key('the name of a rake, such as "A"')
 
     @property
     def file_column(self) -> str:
@@ -210,6 +210,9 @@ class PressureChannel(_Channel):
             raise InputError("reference_Pa", expected=f'none beside "{COUNT}"', found="one")
         if kind == "pressure" and not stated:
             _ = self.conversion
+        elif not kind:
+            expected = f'"{COUNT}" or a unit of pressure, such as {COMMON_UNITS["pressure"]}'
+            raise InputError("unit", expected=expected, found=f'"{self.unit}"')
         elif kind != COUNT:
             beside = f" beside {', '.join(stated)}" if stated else " or a unit of pressure"
             raise InputError("unit", expected=f'"{COUNT}"{beside}', found=f'"{self.unit}"')

@@ -55,7 +55,7 @@ def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) ->
     return np.asarray(np.sign(forward_Pa - aft_Pa) * np.sqrt(square))
 
 
-def true_mach(calculated: FloatArray, slope: float, offset: float) -> FloatArray:
+def true_mach(calculated: FloatArray, slope: float, offset: float, ramp: float = 0.0) -> FloatArray:
     """Return the signed true Mach number, M_true = ±(a |M_calc| + b) (Eq 2).
 
     Parameters
@@ -64,13 +64,17 @@ def true_mach(calculated: FloatArray, slope: float, offset: float) -> FloatArray
         Signed M_calc.
     slope, offset : float
         a and b of the pair, from its flow calibration; the same in reversed flow.
+    ramp : float
+        Below this M_calc b falls to nothing in proportion; 0: b jumps at zero flow, as in Eq 2.
 
     Returns
     -------
     ndarray of shape (n,)
         Signed M_true; zero where the probes read alike, since the sign is not known there.
     """
-    magnitude = np.maximum(slope * np.abs(calculated) + offset, 0.0)
+    size = np.abs(calculated)
+    jump = offset * np.minimum(size / ramp, 1.0) if ramp > 0.0 else offset
+    magnitude = np.maximum(slope * size + jump, 0.0)
     return np.asarray(np.sign(calculated) * magnitude)
 
 
@@ -114,6 +118,7 @@ def pair_flow(
     offset: float,
     area_m2: float,
     compressor: Compressor,
+    ramp: float = 0.0,
 ) -> FloatArray:
     """Return the corrected flow that a probe pair shows, Eq 1 to 3 one after the other.
 
@@ -127,6 +132,8 @@ def pair_flow(
         Flow area of the plane.
     compressor : Compressor
         For γ and R.
+    ramp : float
+        As in :func:`true_mach`.
 
     Returns
     -------
@@ -134,7 +141,7 @@ def pair_flow(
         Signed W_c, in kg/s.
     """
     calculated = calculated_mach(forward_Pa, aft_Pa, compressor.gamma)
-    return corrected_flow(true_mach(calculated, slope, offset), area_m2, compressor)
+    return corrected_flow(true_mach(calculated, slope, offset, ramp), area_m2, compressor)
 
 
 def mach_from_corrected_flow(

@@ -27,6 +27,7 @@ def local_flows(
     *,
     planes: Collection[int] = (25, 31),
     ahead: Record | None = None,
+    probe_ramp: float = 0.0,
 ) -> Record:
     """Compute corrected flow and total pressure at every probe pair (Eq 1 to 3).
 
@@ -40,6 +41,8 @@ def local_flows(
         Planes whose flow is wanted; of the others only the total pressures are returned.
     ahead : Record, optional
         One whose flows are known: those of the same readings are taken from it.
+    probe_ramp : float
+        Below this calculated Mach number b of Eq 2 falls to nothing in proportion; 0: it jumps.
 
     Returns
     -------
@@ -74,7 +77,7 @@ def local_flows(
                 total = np.maximum(forward_Pa, aft_Pa)
                 flow = np.empty(0)
                 if plane in planes:
-                    flow = _flow_of(forward_Pa, aft_Pa, pair, test)
+                    flow = _flow_of(forward_Pa, aft_Pa, pair, test, probe_ramp)
             added.append(Channel.adopt(total_name, total, "Pa"))
             if plane in planes:
                 added.append(Channel.adopt(flow_name, flow, "kg/s"))
@@ -177,16 +180,19 @@ def _positive(record: Record, name: str) -> tuple[FloatArray, int]:
 
 
 def _flow_of(
-    forward_Pa: FloatArray, aft_Pa: FloatArray, pair: ProbePair, test: TestDescription
+    forward_Pa: FloatArray,
+    aft_Pa: FloatArray,
+    pair: ProbePair,
+    test: TestDescription,
+    ramp: float,
 ) -> FloatArray:
     probe, machine = pair.forward, test.compressor
     area_m2 = test.areas_m2[probe.plane]
+    law = probe.probe_slope, probe.probe_offset, area_m2, machine, ramp
     flow = np.empty(forward_Pa.size)
     for first in range(0, flow.size, BLOCK_ROWS):
         rows = slice(first, first + BLOCK_ROWS)
-        flow[rows] = pair_flow(
-            forward_Pa[rows], aft_Pa[rows], probe.probe_slope, probe.probe_offset, area_m2, machine
-        )
+        flow[rows] = pair_flow(forward_Pa[rows], aft_Pa[rows], *law)
     return flow
 
 

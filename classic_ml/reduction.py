@@ -159,7 +159,7 @@ def reduce_record(
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     done(1)
-    unfiltered, rakes = _unfiltered(record, test)
+    unfiltered, rakes = _unfiltered(record, test, chosen.probe_ramp)
     del record
     done(1)
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
@@ -229,7 +229,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     # dropout must not end it.
     bridged = with_faults_bridged(record, test.channel_names)
     filtered = _low_passed(bridged, test, AHEAD)
-    flows = local_flows(filtered, test)
+    flows = local_flows(filtered, test, probe_ramp=settings.probe_ramp)
     averages = plane_averages(flows, test)
     speed = Channel("Nc_frac", corrected_speed_fraction(averages["T25_K"], test), "1")
     cycles = find_cycles(averages.after(LedgerEntry("speed", "of the window"), add=[speed]))
@@ -291,7 +291,8 @@ def _averaged(
     known = ahead if alike else None
     filtered = _low_passed(record, test, settings, known[:2] if known else None)
     inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
-    flows = local_flows(inverted, test, ahead=known[2] if known else None)
+    known_flows = known[2] if known else None
+    flows = local_flows(inverted, test, ahead=known_flows, probe_ramp=settings.probe_ramp)
     return plane_averages(flows, test)
 
 
@@ -304,13 +305,16 @@ def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
         yield from (f"Wc{pair.name}_kg_s", f"Pt{pair.name}_Pa")
 
 
-def _unfiltered(record: Record, test: TestDescription) -> tuple[Record, RakeSignals]:
+def _unfiltered(
+    record: Record, test: TestDescription, probe_ramp: float
+) -> tuple[Record, RakeSignals]:
     """Reduce without any low-pass, for the free run, for spectra and for Fig 5 and 6.
 
     The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
     Of plane 31 the pressure alone is needed. The signals of the single pairs go with it.
     """
-    plain = local_flows(invert_thermocouples(record, test), test, planes=(25,))
+    inverted = invert_thermocouples(record, test)
+    plain = local_flows(inverted, test, planes=(25,), probe_ramp=probe_ramp)
     rakes = rake_signals(plain, test)
     plain = plane_averages(plain, test)
     faults = {fault_name(name) for name in test.channel_names}

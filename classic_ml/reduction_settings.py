@@ -48,6 +48,9 @@ class ReductionSettings:
         two planes disagree by more than ψ can bear.
     window_s : tuple of float, optional
         Quasi-steady cycles on the facility clock; None takes test.toml's, else they are found.
+    probe_ramp : float
+        Calculated Mach number below which b of Eq 2 falls to nothing in proportion; 0 is the
+        paper's law, whose flow jumps at zero. A calibration never says which holds there.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class ReductionSettings:
     thermocouple_inversion: bool = False
     work_form: str = "auto"
     window_s: tuple[float, float] | None = None
+    probe_ramp: float = 0.0
 
     def __post_init__(self) -> None:
         where = "ReductionSettings."
@@ -79,6 +83,8 @@ class ReductionSettings:
             positive(where + "threshold_lbm_s", self.threshold_lbm_s)
         if self.hysteresis_lbm_s not in (None, 0.0):
             positive(where + "hysteresis_lbm_s", self.hysteresis_lbm_s)
+        if self.probe_ramp != 0.0:
+            positive(where + "probe_ramp", self.probe_ramp)
         window = self.window_s
         # A time that is no number is neither before nor behind another.
         if window is not None and not (

@@ -18,6 +18,7 @@ from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = [
+    "COMMON_UNITS",
     "COUNT",
     "Conversion",
     "conversion_to_si",
@@ -31,7 +32,7 @@ _COUNT_WORDS = ("count", "counts", "code", "codes", "adc counts", "raw counts", 
 # Labels that state nothing: a form's empty field.
 _NO_STATEMENT = ("", "-", "--", "n/a", "na", "none", "unknown")
 _SI = {"pressure": "Pa", "temperature": "K", "time": "s"}
-_COMMON = {
+COMMON_UNITS = {
     "pressure": "Pa, hPa, kPa, MPa, mbar, bar, psi, psf, atm, torr, mmHg, inHg, mmH2O, inH2O",
     "temperature": "K, degC, degF, degR",
     "time": "s, ms, us, ns, min",
@@ -102,7 +103,7 @@ def conversion_to_si(
     plain, reference = split_reference(unit) if kind == "pressure" else (unit, "")
     known = _to_si(plain.strip(), kind)
     if known is None:
-        expected = f"a unit of {kind}, such as {_COMMON[kind]}"
+        expected = f"a unit of {kind}, such as {COMMON_UNITS[kind]}"
         raise InputError(where or "unit", expected=expected, found=f'"{unit[:60]}"')
     is_absolute = reference == "absolute"
     if kind != "pressure" or (is_absolute and not reference_Pa):
@@ -215,7 +216,7 @@ def _pint_name(plain: str, kind: str) -> str:
         letter = match["letter"].upper()
         return "K" if letter == "K" else f"deg{letter}"
     # Capitals are no matter but between MPa and mPa.
-    common = {name.lower(): name for name in _COMMON[kind].split(", ") if name != "MPa"}
+    common = {name.lower(): name for name in COMMON_UNITS[kind].split(", ") if name != "MPa"}
     name = common.get(re.sub(r"[\s.]", "", plain).lower(), plain)
     # lbf/in2 is lbf/in^2.
     return _DEFINED.get(name, re.sub(r"(?<=[A-Za-z])2\b", "^2", name))

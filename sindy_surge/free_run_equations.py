@@ -150,15 +150,16 @@ class FreeRunEquations:
         Returns
         -------
         error, coefficient, information : float
-            The error at the vertex of the parabola through the least three; the inverse of the
-            coefficient's variance for errors of variance one.
+            The error at the vertex of the parabola through the logarithms of the least three, for
+            where it falls by ten from one τ to the next a parabola through them falls below zero;
+            the inverse of the coefficient's variance for errors of variance one.
         """
         grid, triangles = self._scan
         n = self.nuisance.shape[1]
         wanted = [*range(n), *(n + i for i in support)]
         errors = np.array([_cost(each[:, wanted], each[:, -1]) for each in triangles])
         at = int(np.clip(np.argmin(errors), 1, grid.size - 2))
-        below, error, above = errors[at - 1 : at + 2]
+        below, error, above = np.log(np.maximum(errors[at - 1 : at + 2], 1e-300))
         bend = below + above - 2.0 * error
         if bend > 0.0 and error <= min(below, above):
             error -= (above - below) ** 2 / (8.0 * bend)
@@ -166,7 +167,7 @@ class FreeRunEquations:
         before = best[:, wanted[:-1]]
         last = _projected(best[:, [wanted[-1]]], before)[:, 0]
         information = max(float(last @ last), 1e-300)
-        return float(error), float(last @ best[:, -1]) / information, information
+        return float(np.exp(error)), float(last @ best[:, -1]) / information, information
 
     def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
         """Return the scored rows of each cycle, counted among the scored.

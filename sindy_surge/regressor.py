@@ -13,15 +13,16 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sindy_surge.binding import LIMITS, Binding, binding_constraints
 from sindy_surge.candidate_terms import CandidateTerms, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
 from sindy_surge.free_run import FreeModel
-from sindy_surge.identification import Choices, identify
+from sindy_surge.identification import Choices, Identified, identify
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
-from sindy_surge.state_terms import physical_form
+from sindy_surge.state_terms import PhysicalForm, physical_form
 from sindy_surge.summary import ModelSummary
 from sindy_surge.text import EquationParts, pysindy_equations, rate_of, write_equation
 from surge_core.display import FittedDisplay, Sheet
@@ -104,6 +105,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         tested for before any structure is read, and fitted with every structure where it shows.
     dead_time_stderr_s_ : float
         Its standard error in seconds; 0 if it was not fitted.
+    binding_ : tuple of Binding
+        Constraints against which the data speak: what is found without any holds the term, or
+        has it with the other sign, by more than its standard error allows.
     cautions_ : tuple of str
         What a user should know before the numbers are used.
     noise_ : tuple of (float, ndarray) or None
@@ -209,15 +213,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.noise_: tuple[float, FloatArray] | None = (noise.output, noise.inputs)
         self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
-        names = self.candidate_terms_ = self._candidates.names
-        form = physical_form(
-            [names[i] for i in found.model.selected],
-            found.model.coefficients,
-            found.model.lag.tau_s,
-            found.covariance,
-            self._candidates.states,
-            self._input_names,
-        )
+        self.candidate_terms_ = self._candidates.names
+        form = self._form(found)
         self.terms_, self.coef_ = form.names, form.coefficients
         self.time_constant_s_ = form.time_constant_s
         # As it is written: powers of ψ' itself, which the search holds centred.
@@ -232,7 +229,32 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
         self.fit_state_ = found.fit_state()
+        self.binding_ = self._binding(problem, choices)
         self.cautions_ = cautions_of(found, self.fit_state_)
+        self.cautions_ += tuple(binding.text for binding in self.binding_)
+
+    def _form(self, found: Identified) -> PhysicalForm:
+        """Return a structure as it is written."""
+        terms, model = found.problem.terms, found.model
+        return physical_form(
+            [terms.names[i] for i in model.selected],
+            model.coefficients,
+            model.lag.tau_s,
+            found.covariance,
+            terms.states,
+            self._input_names,
+        )
+
+    def _binding(self, problem: LagProblem, choices: Choices) -> tuple[Binding, ...]:
+        """Return the constraints that what is found without them breaks."""
+        wishes = dict(self.constraints or {})
+        if not any(LIMITS.keys() & set(words.split()) for words in wishes.values()):
+            return ()
+        choices = replace(choices, constraints=None, n_bootstrap=0)
+        free = identify(problem, choices, self._input_names)
+        # Not where the data cannot separate the two structures.
+        alike = any(set(rival) == set(self.terms_) for rival in free.rivals)
+        return () if alike else binding_constraints(self._form(free), wishes)
 
     def _fit_static(
         self,
@@ -253,6 +275,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
+        self.binding_ = ()
         self.noise_ = None
         self.fit_state_ = state
         self.cautions_ = (state.advice,)

@@ -23,6 +23,8 @@ __all__ = ["Table", "read_toml", "validated"]
 M = TypeVar("M", bound=BaseModel)
 
 LONGEST_VALUE = 60
+# Of places with one and the same mistake so many are named.
+MOST_PLACES = 8
 PLAIN = {
     "a valid number": "a number",
     "a valid integer": "a whole number",
@@ -105,7 +107,10 @@ def validated(model: type[M], data: Mapping[str, Any], where: str) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         mistakes = [_mistake(dict(one), model, data) for one in error.errors()]
-    first, *others = dict.fromkeys(mistakes)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for at, *words in dict.fromkeys(mistakes):
+        alike.setdefault(tuple(words), []).append(at)
+    first, *others = [_Mistake(_listed(places), *words) for words, places in alike.items()]
     named = ": ".join(part for part in (where, first.where) if part)
     if not others:
         raise InputError(named, expected=first.expected, found=first.found, remedy=first.remedy)
@@ -113,6 +118,11 @@ def validated(model: type[M], data: Mapping[str, Any], where: str) -> M:
         f"; {m.where or where}: expected {m.expected}, found {m.known()}" for m in others
     )
     raise InputError(named, expected=first.expected, found=first.known() + also)
+
+
+def _listed(places: list[str]) -> str:
+    more = len(places) - MOST_PLACES
+    return ", ".join(places[:MOST_PLACES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _mistake(error: Mapping[str, Any], model: type[BaseModel], data: Any) -> _Mistake:
@@ -134,10 +144,14 @@ def _mistake(error: Mapping[str, Any], model: type[BaseModel], data: Any) -> _Mi
         return _Mistake(inner, cause.expected, cause.found, cause.remedy)
     field = next(map(_fields(model, error["loc"][:-1]).get, error["loc"][-1:]), None)
     expected = (field.description if field else None) or _expected(error["msg"])
+    if kind == "missing":
+        table: Any = field and field.annotation
+        if [table] == _models_in(table):
+            expected = f"a table with {', '.join(_own(table))}"
+        return _Mistake(at, expected, "nothing", "")
     extra = field.json_schema_extra if field else None
     remedy = str(extra.get("remedy", "")) if isinstance(extra, dict) else ""
-    found = "nothing" if kind == "missing" else _shown(error["input"])
-    return _Mistake(at, expected, found, remedy)
+    return _Mistake(at, expected, _shown(error["input"]), remedy)
 
 
 def _expected(message: str) -> str:

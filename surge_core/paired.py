@@ -1,4 +1,4 @@
-"""Errors in blocks, and the difference of two of them with its paired error."""
+"""Two predictions of one signal: the difference of their errors, and whether it is luck."""
 
 from __future__ import annotations
 
@@ -7,12 +7,53 @@ from itertools import pairwise
 
 import numpy as np
 
-from surge_core.leave_out import scatter
+from surge_core.leave_out import correlation_length, scatter
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["block_errors", "block_rms", "paired_difference"]
+__all__ = ["block_errors", "block_rms", "compared", "diebold_mariano", "paired_difference"]
 
 MINIMUM_BLOCKS = 6
+MINIMUM_LOSS_BLOCKS, FEWEST_LOSSES = 12, 16
+
+
+def diebold_mariano(losses: FloatArray, runs: list[slice]) -> float:
+    """Test whether two predictions are equally accurate on average.
+
+    Parameters
+    ----------
+    losses : ndarray of shape (n,)
+        Loss of one prediction minus that of the other, row by row in the order of time.
+    runs : list of slice
+        Segments; each is a block, and where there are fewer than twelve they are cut.
+
+    Returns
+    -------
+    float
+        Two-sided p-value; NaN for fewer than 16 rows and for losses that do not differ.
+
+    Notes
+    -----
+    Diebold and Mariano (Journal of Business & Economic Statistics 13, 1995) on sums over blocks,
+    with the correction of Harvey, Leybourne and Newbold (International Journal of Forecasting 13,
+    1997) for the lags over which these hang together: what repeats in every surge cycle hangs
+    together for ever from row to row. The variance is that of B slow cosines (Lazarus, Lewis,
+    Stock and Watson, Journal of Business & Economic Statistics 36, 2018) whose half waves are
+    longer than two such lags, and has B degrees of freedom.
+    """
+    from scipy.fft import dct
+    from scipy.stats import t
+
+    if losses.size < FEWEST_LOSSES or not np.ptp(losses):
+        return math.nan
+    mean = float(np.mean(losses))
+    sums = np.array([np.sum(losses[b] - mean) for b in _blocks(runs, MINIMUM_LOSS_BLOCKS)])
+    n = sums.size
+    lags = min(correlation_length(sums, [n]), n // 4)
+    waves = max(n // (2 * lags), 3)
+    variance = float(np.mean(dct(sums, norm="ortho")[1 : waves + 1] ** 2))
+    corrected = (n + 1 - 2 * lags + lags * (lags - 1) / n) / n
+    statistic = mean * losses.size * math.sqrt(corrected / (n * variance))
+    return float(2.0 * t.sf(abs(statistic), waves))
 
 
 def block_errors(
@@ -31,11 +72,15 @@ def block_errors(
         Rows that count.
     """
     keep = np.ones(error.size, dtype=np.bool_) if scored is None else scored
-    pieces = max(1, math.ceil(MINIMUM_BLOCKS / max(len(runs), 1)))
-    edges = [np.linspace(run.start, run.stop, pieces + 1).astype(int) for run in runs]
-    blocks = [slice(*ends) for own in edges for ends in pairwise(own)]
+    blocks = _blocks(runs, MINIMUM_BLOCKS)
     rows = [(np.sum(error[b][keep[b]] ** 2), np.sum(keep[b])) for b in blocks if keep[b].any()]
     return np.asarray(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def _blocks(runs: list[slice], fewest: int) -> list[slice]:
+    pieces = max(1, math.ceil(fewest / max(len(runs), 1)))
+    edges = [np.linspace(run.start, run.stop, pieces + 1).astype(int) for run in runs]
+    return [slice(*ends) for own in edges for ends in pairwise(own)]
 
 
 def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
@@ -54,6 +99,24 @@ def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float,
     """
     errors = np.sqrt(_means(blocks)) - np.sqrt(_means(reference))
     return float(errors[0]), _jackknife(errors[1:])
+
+
+def compared(
+    errors: FloatArray, least: FloatArray, runs: list[slice]
+) -> tuple[float, float, float]:
+    """Return the difference of two rms errors on the same rows, its paired error and p-value.
+
+    Parameters
+    ----------
+    errors, least : ndarray of shape (n,)
+        Errors, and those of the least rms; of the same errors the difference is 0.
+    runs : list of slice
+        Segments.
+    """
+    if errors is least or not errors.size:
+        return 0.0, 0.0, math.nan
+    paired = paired_difference(block_errors(errors, runs), block_errors(least, runs))
+    return *paired, diebold_mariano(errors**2 - least**2, runs)
 
 
 def block_rms(blocks: FloatArray) -> tuple[float, float]:

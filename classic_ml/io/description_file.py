@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -113,10 +114,12 @@ class Document(Table):
 
     @model_validator(mode="after")
     def _agrees(self) -> Document:
-        """Refuse what no table shows for itself."""
-        _check_converter(self)
-        _check_names(self)
-        _check_probes(self)
+        """Refuse what no table shows for itself, all of it at once."""
+        errors = [*_wrong_names(self), *_wrong_probes(self)]
+        if errors:
+            first, also = errors[0], "; ".join(map(str, errors[1:]))
+            remedy = "; ".join(part for part in (first.remedy, also) if part)
+            raise InputError(first.where, expected=first.expected, found=first.found, remedy=remedy)
         return self
 
 
@@ -187,7 +190,9 @@ def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
         useless = () if model is CountChannel else COUNT_KEYS
         used = {k: v for k, v in stated.items() if k in model.model_fields and k not in useless}
         filled[name] = {**used, **own, "name": name}
-    return {**values, "channels": filled}
+    # Counts have a converter: without its table all its keys are missing.
+    counts = CountChannel.__name__ in map(_model_of, filled.values())
+    return {**({"adc": {}} if counts else {}), **values, "channels": filled}
 
 
 def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> None:
@@ -204,15 +209,8 @@ def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> 
             )
 
 
-def _check_converter(document: Document) -> None:
-    """Refuse counts without a converter."""
-    for name, channel in document.channels.items():
-        if isinstance(channel, CountChannel) and document.adc is None:
-            raise InputError("adc", expected=f"a table, since {name} is in counts", found="none")
-
-
-def _check_names(document: Document) -> None:
-    """Refuse tables by channel that name none, and a column that would feed two channels."""
+def _wrong_names(document: Document) -> Iterator[InputError]:
+    """Find tables by channel that name none, and a column that would feed two channels."""
     channels = document.channels
     moved = [name for name, c in channels.items() if getattr(c, "facing", "") != "aft"]
     tables = (
@@ -222,29 +220,29 @@ def _check_names(document: Document) -> None:
     for table, stated, names, what in tables:
         for name in stated:
             if name not in names:
-                raise InputError(
-                    f"{table}.{name}", expected=f"the name of a {what}", found="another name"
-                )
+                near = get_close_matches(name, names, n=1)
+                found = "another name" + (f" (is '{near[0]}' meant?)" if near else "")
+                yield InputError(f"{table}.{name}", expected=f"the name of a {what}", found=found)
     clock = [] if document.file.clock == "from rate" else [document.file.time]
     columns = Counter([*clock, *(channel.file_column for channel in channels.values())])
     for name, channel in channels.items():
         if columns[channel.file_column] > 1:
-            raise InputError(
+            yield InputError(
                 f"channels.{name}.column",
                 expected="a column of its own",
                 found=f"'{channel.file_column}', which feeds another channel or the clock too",
             )
 
 
-def _check_probes(document: Document) -> None:
-    """Refuse a plane without probes, probes without a mate, and pairs of two calibrations."""
+def _wrong_probes(document: Document) -> Iterator[InputError]:
+    """Find a plane without probes, probes without a mate, and pairs of two calibrations."""
     channels = document.channels.values()
     probes = [channel for channel in channels if isinstance(channel, PressureChannel)]
     lacking = [f"pressure probes at plane {p}" for p in {25, 31} - {c.plane for c in probes}]
     if not any(isinstance(c, TemperatureChannel) and c.plane == 25 for c in channels):
         lacking.append("a thermocouple at plane 25")
     if lacking:
-        raise InputError("channels", expected=" and ".join(sorted(lacking)), found="none")
+        yield InputError("channels", expected=" and ".join(sorted(lacking)), found="none")
     pairs: dict[tuple[object, ...], list[PressureChannel]] = {}
     for probe in probes:
         pairs.setdefault((probe.plane, probe.rake, probe.immersion), []).append(probe)
@@ -255,17 +253,17 @@ def _check_probes(document: Document) -> None:
         for probe in pair
     ]
     if alone:
-        raise InputError(
+        yield InputError(
             "channels",
             expected="one forward and one aft probe at each rake and immersion",
             found=", ".join(alone),
             remedy="leave out both probes of a pair, in the table too, when one is dead",
         )
-    for one, other in pairs.values():
+    for one, other in (pair for pair in pairs.values() if len(pair) == 2):
         for name in ("probe_slope", "probe_offset"):
             values = getattr(one, name), getattr(other, name)
             if values[0] != values[1]:
-                raise InputError(
+                yield InputError(
                     f"channels.{one.name}.{name}",
                     expected=f"that of its mate {other.name} (Eq 2 holds for the pair)",
                     found=f"{values[0]:g} and {values[1]:g}",

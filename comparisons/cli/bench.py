@@ -10,6 +10,7 @@ from pathlib import Path
 from comparisons.cli.shared import (
     JSON,
     METHOD,
+    SCHEDULER,
     Command,
     argument,
     check_folder,
@@ -30,6 +31,8 @@ HEADS = {
     "gross": "gross",
     "curves": "curves",
     "curves_within": "curve within 0.15",
+    "named": "firm names",
+    "false_names": "false names",
     "crashes": "crashes",
     "median_error_ms": "median |error| [ms]",
     "seconds": "s a record",
@@ -39,6 +42,7 @@ HEADS = {
 def _run(given: argparse.Namespace) -> Iterator[str]:
     from joblib import cpu_count
 
+    from comparisons.missing_effect.firm_names import FirmNames
     from comparisons.page.blocks import Head, Part, Picture, Table, Words
     from comparisons.page.html import render_page
     from comparisons.show.figures import write_figures
@@ -51,11 +55,17 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     from surge_core.rounding import significant
 
     folder = check_folder(given.out)
-    spec = bench_spec(given.machines, given.seed, given.method, given.rig or ())
+    naming = f"{FirmNames.__module__}:{FirmNames.__name__}"
+    spec = bench_spec(given.machines, given.seed, given.method, given.rig or (), naming)
     check_study(spec, folder, resume=given.resume)
     with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
         table = run_study(
-            spec, folder, jobs=given.jobs or cpu_count(), resume=given.resume, progress=progress
+            spec,
+            folder,
+            jobs=given.jobs or cpu_count(),
+            scheduler=given.scheduler,
+            resume=given.resume,
+            progress=progress,
         )
     rows, ranks = bench_rows(table), ranks_of(table)
     names = [field.name for field in fields(BenchRow)]
@@ -120,6 +130,7 @@ COMMAND = Command(
             "--jobs", type=whole(1, 1024), default=0, metavar="N",
             help="worker processes (default: one a core)",
         ),
+        SCHEDULER,
         JSON,
     ),
     run=_run,

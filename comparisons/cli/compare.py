@@ -21,6 +21,7 @@ from comparisons.cli.shared import (
     command_line,
     drawing,
     fitting,
+    measuring,
     read_records,
     reads,
     take_away,
@@ -31,7 +32,6 @@ from comparisons.cli.shared import (
 )
 from surge_core.errors import InputError
 from surge_core.fit_state import WITHHOLDING
-from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -68,7 +68,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
     if given.save:
-        save_models(models_to_save(comparison, work), given.save, comparison.recommended)
+        models = models_to_save(comparison, work)
+        save_models(models, given.save, comparison.recommended, records)
         written.append(f"models: {given.save}")
     written += take_away(given.figures, pages, answer)
     lines = [str(answer), "", *comparison_lines(comparison, stated)]
@@ -131,14 +132,7 @@ def _compare(
         "time_constant_s": given.tau,
         "progress": fitting,
     }
-    comparison = compare_records(
-        records,
-        degree=given.degree,
-        estimators=_with_others(given),
-        n_twins=_n_twins(given),
-        measuring=_measuring,
-        **options,
-    )
+    comparison = compare_records(records, estimators=_specs(given), **options)
     if any(record.psi is None for record in records):
         return comparison, None
     if _by_rise(records) and not (given.json or given.save):
@@ -150,20 +144,9 @@ def _compare(
         return comparison, None
 
 
-def _n_twins(given: argparse.Namespace) -> int:
+def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
+    """Return the default estimators, --model's and --method's."""
     from classic_ml.whole_record_fit import N_TWINS
-
-    return 0 if given.no_twins else N_TWINS
-
-
-def _measuring(twins: Iterable[int]) -> Iterable[int]:
-    return shown_over(twins, unit="twin", words="measuring twins")
-
-
-def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
-    """Return the default estimators, --model's and --method's; None without these options."""
-    if given.model is None and not given.method:
-        return None
     from comparisons.harness.estimators import default_estimators
     from comparisons.harness.methods import method_spec
     from comparisons.missing_effect.extended_estimator import extended_specs
@@ -179,8 +162,8 @@ def _with_others(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
         degree=given.degree,
         hold=given.hold,
         time_constant_s=given.tau,
-        n_twins=_n_twins(given),
-        measuring=_measuring,
+        n_twins=0 if given.no_twins else N_TWINS,
+        measuring=measuring,
     )
     if given.model is not None:
         own += tuple(extended_specs(load_extended(given.model), [spec.name for spec in own]))
@@ -195,7 +178,7 @@ COMMAND = Command(
     "compare",
     help="fit the estimators to the same series and set them side by side",
     description="Fit the paper's maximum-likelihood lag model and the sparse regression to the "
-    "same rows: characteristics, time constants, reconstructions, held-out errors.",
+    "same record: characteristics, time constants, reconstructions, held-out errors.",
     arguments=(
         SERIES,
         JSON,

@@ -111,11 +111,11 @@ def _fitted(demo: _Demo, case: str, title: str) -> None:
         words = _power_balance(demo, case, _truth(rig, "psi"))
         demo.lines.append(f"{title}, ψ_QS from the power balance (`work`): {words}")
     if case == FITTED[0][0]:
-        from comparisons.harness.reconstruction import reconstruct_record
+        from comparisons.harness.reconstruction import validate_models
 
         demo.begin(f"{title}: running the models over a second instability")
         other = _test(demo, VALIDATION, demo.seed + 1)[1].series
-        validation = [reconstruct_record(result.model, other) for result in comparison.results]
+        validation = validate_models([result.model for result in comparison.results], [other])
     extra: tuple[Part, ...] = ()
     said: dict[str, Any] = {}
     if case == FITTED[0][0]:

@@ -13,6 +13,7 @@ from comparisons.cli.shared import (
     Command,
     argument,
     command_line,
+    measuring,
     read_records,
     reads,
     whole,
@@ -102,7 +103,7 @@ def _compressor(given: argparse.Namespace) -> list[str]:
             terms=terms,
             most_effects=given.max_effects or MOST_EFFECTS,
             n_twins=0 if given.no_twins else N_TWINS,
-            progress=lambda twins: shown_over(twins, unit="twin", words="measuring twins"),
+            progress=measuring,
         )
         more = _asked_beyond(given, d, begin)
         begin("writing")

@@ -37,8 +37,8 @@ EXIT_DONE = 0
 EXIT_UNUSABLE = 2
 # 128 + SIGINT, as a shell reports a process that was interrupted.
 EXIT_INTERRUPTED = 130
-# No sentence of ours is longer: beyond it, something out of a file is in it.
-LONGEST = 500
+# A sentence that lists all mistakes of a file may be long; beyond this, rows of it are in it.
+LONGEST = 1400
 
 # In the order of `--help`.
 COMMANDS = (

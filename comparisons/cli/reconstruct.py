@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
-import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,19 +31,18 @@ __all__ = ["COMMAND"]
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import read_series
     from comparisons.cli.saved_models import load_any_models
-    from comparisons.harness.reconstruction import reconstruct_record
-    from comparisons.harness.saved_models import recommended_model
+    from comparisons.harness.reconstruction import validate_models
+    from comparisons.harness.saved_models import about_models
     from comparisons.show.table import reconstruction_table
 
-    models = _chosen(load_any_models(given.model), given.estimator)
-    recommended = recommended_model(given.model)
+    models, only = load_any_models(given.model), given.estimator
+    if only not in (None, *models):
+        raise InputError("--estimator", expected="one of " + ", ".join(models), found=only)
+    recommended, fitted = about_models(given.model)
+    names = sorted(models, key=lambda name: name != recommended)
+    models = {name: models[name] for name in names if only in (None, name)}
     records = [read_series(path) for path in given.series]
-    runs = [
-        reconstruct_record(model, record)
-        for record in shown_over(records, unit="record")
-        for model in models.values()
-        if model.target == "psi_p" or record.psi is not None
-    ]
+    runs = validate_models(models.values(), shown_over(records, unit="record"), fitted)
     if not runs:
         raise InputError(
             ", ".join(record.source for record in records),
@@ -53,11 +50,9 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             found="none",
         )
     if given.out and len(runs) > 1:
+        remedy = "name one record and one --estimator of " + ", ".join(models)
         raise InputError(
-            "--out",
-            expected="one reconstruction",
-            found=f"{len(runs)}",
-            remedy="name one record and one --estimator of " + ", ".join(models),
+            "--out", expected="one reconstruction", found=str(len(runs)), remedy=remedy
         )
     written = write_asked(
         given,
@@ -65,31 +60,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         json=lambda: _document(runs, recommended),
         report=lambda: _page(runs),
     )
-    return reconstruction_table(runs), *_recommended_words(runs, recommended), *written
-
-
-def _recommended_words(runs: Sequence[Reconstruction], recommended: str | None) -> list[str]:
-    """Say which model to believe, and why another may have the least error."""
-    own = [run for run in runs if run.model.estimator == recommended]
-    if not own:
-        return []
-    least = min(runs, key=lambda run: run.score.rms if run.model.target == "psi_p" else math.inf)
-    words = f"recommended by compare: {recommended}, whose τ and curve are to be quoted"
-    if least.model.estimator != recommended:
-        words += (
-            f". That {least.model.estimator} has the least rms does not speak against it: the rows "
-            "scored here are low-passed, and the recommended model, fitted to unfiltered signals, "
-            "does not hold what the filter does to them"
-        )
-    return textwrap.wrap(f"{words}.", 100)
-
-
-def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
-    if name is None:
-        return models
-    if name not in models:
-        raise InputError("--estimator", expected="one of " + ", ".join(models), found=name)
-    return {name: models[name]}
+    words = f"recommended by compare: {recommended}, whose τ and curve are to be quoted."
+    return reconstruction_table(runs), *([words] if recommended in models else []), *written
 
 
 def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[str, Any]:
@@ -117,7 +89,8 @@ COMMAND = Command(
     "reconstruct",
     help="run a saved model over another record",
     description="Run models saved by `compare --save` or `diagnose --save` over other records, "
-    "with nothing refitted, and score the reconstruction.",
+    "with nothing refitted: the error on rows of the kind that each was fitted to, the share of "
+    "them inside its 95 % band, and which lie beyond the φ of the fit.",
     arguments=(
         reads("model", metavar="MODEL", help="saved by compare --save or diagnose --save"),
         SERIES,

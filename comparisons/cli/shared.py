@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ __all__ = [
     "METHOD",
     "RAW",
     "REPORT",
+    "SCHEDULER",
     "SERIES",
     "Argument",
     "Command",
@@ -35,6 +37,7 @@ __all__ = [
     "command_line",
     "drawing",
     "fitting",
+    "measuring",
     "number",
     "read_records",
     "reads",
@@ -46,6 +49,12 @@ __all__ = [
     "write_asked",
     "writes",
 ]
+
+# How far fits, twins, passes of a step and pictures are, on a terminal only.
+fitting = partial(shown_over, unit="fit", words="fitting")
+measuring = partial(shown_over, unit="twin", words="measuring twins")
+working = partial(shown_over, unit="pass")
+drawing = partial(shown_over, unit="picture", words="drawing")
 
 LONGEST_TAU_S = 10.0
 TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
@@ -185,17 +194,16 @@ class Command:
         InputError
             Naming the file.
         """
+        typed = [(each, getattr(given, each.name)) for each in self.arguments]
         read: list[Path] = []
-        for each in self.arguments:
-            value = getattr(given, each.name)
+        for each, value in typed:
             if each.read and value is not None:
                 read += value if isinstance(value, list) else [value]
         for path in read:
             if not path.exists():
                 raise InputError(str(path), expected="a file that exists", found="no such file")
         written = []
-        for each in self.arguments:
-            path = getattr(given, each.name)
+        for each, path in typed:
             if each.written and path is not None:
                 check_target(path, each.suffixes)
                 written.append(path)
@@ -221,6 +229,11 @@ FIGURES = argument(
     metavar="DIR",
     help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
     "characteristic as a lookup table (CSV, JSON)",
+)
+SCHEDULER = argument(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask scheduler whose workers do the work instead",
 )
 METHOD = argument(
     "--method",
@@ -336,39 +349,6 @@ def take_away(
 def command_line() -> str:
     """Return the command as it was typed, for reports."""
     return " ".join(["sindy-surge", *sys.argv[1:]])
-
-
-def fitting(items: Iterable[Any]) -> Iterable[Any]:
-    """Show how far fits are, on a terminal only.
-
-    Parameters
-    ----------
-    items : iterable
-        What is fitted.
-    """
-    return shown_over(items, unit="fit", words="fitting")
-
-
-def working(items: Iterable[Any]) -> Iterable[Any]:
-    """Show how far the passes of a step are, on a terminal only.
-
-    Parameters
-    ----------
-    items : iterable
-        What is worked through.
-    """
-    return shown_over(items, unit="pass")
-
-
-def drawing(items: Iterable[Any]) -> Iterable[Any]:
-    """Show how far the drawing of a report is, on a terminal only.
-
-    Parameters
-    ----------
-    items : iterable
-        Pictures.
-    """
-    return shown_over(items, unit="picture", words="drawing")
 
 
 def whole(low: int, high: int | None = None) -> Callable[[str], int]:

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from comparisons.cli.shared import Command, argument, command_line, whole
+from comparisons.cli.shared import SCHEDULER, Command, argument, command_line, whole
 from surge_core.errors import InputError
 
 __all__ = ["COMMAND"]
@@ -80,11 +80,7 @@ COMMAND = Command(
             metavar="N",
             help="worker processes on this machine (default: one a core; 1: none)",
         ),
-        argument(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Dask scheduler whose workers do the work instead",
-        ),
+        SCHEDULER,
         argument("--dry-run", action="store_true", help="say how many cells there are, and stop"),
     ),
     run=_run,

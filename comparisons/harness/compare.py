@@ -1,14 +1,14 @@
 """Several estimators side by side: fits, reconstructions, held-out scores, and the table.
 
-All are scored on the same rows, those of the series' segments. They are fitted to these too, but
-for those that take whole unfiltered records where the series carry them.
+Each is scored on rows of the kind that it was fitted to: those of the series' segments, or the
+averaged unfiltered rows of whole records. Errors are compared within a kind alone.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,8 @@ from comparisons.harness.estimators import (
     default_estimators,
     psi_breakpoints,
 )
-from comparisons.harness.fit_quality import score_fit, trusted_range
-from comparisons.harness.rows import stack_rows
+from comparisons.harness.fit_quality import rms, score_fit, trusted_range
+from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import (
     Comparison,
     ComparisonRow,
@@ -40,7 +40,8 @@ from comparisons.results import (
 )
 from surge_core.fit_state import WITHHOLDING
 from surge_core.lag import Hold
-from surge_core.paired import block_errors, block_rms, paired_difference
+from surge_core.paired import block_errors, block_rms, compared
+from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]
@@ -100,7 +101,8 @@ def compare_records(
         n_twins=n_twins,
         measuring=measuring,
     )
-    results = tuple(_run(spec, rows, records, hold) for spec in progress(specs))
+    averaged = averaged_rows(records, _until_s(rows, records)) if target == "psi_p" else None
+    results = tuple(_run(spec, rows, averaged, records, hold) for spec in progress(specs))
     quotable = _quotable(records, results)
     table = _table(results, quotable)
     histories = [record.history for record in records]
@@ -150,23 +152,28 @@ def _is_clean_run(record: CoefficientSeries) -> bool:
 
 
 def _run(
-    spec: EstimatorSpec, rows: FitRows, records: Sequence[CoefficientSeries], hold: Hold
+    spec: EstimatorSpec,
+    rows: FitRows,
+    averaged: FitRows | None,
+    records: Sequence[CoefficientSeries],
+    hold: Hold,
 ) -> EstimatorResult:
     begin = time.perf_counter()
     estimator = spec.fitted(rows, records, None)
     seconds = time.perf_counter() - begin
     model = _value(estimator, spec, rows, hold)
     extended = getattr(estimator, "extended_", None)
-    reconstruction = (extended or model).free_run_over(rows, records)
-    predicted, known = _one_step(estimator, model, rows, records)
-    trained = _trained(spec, rows, records, hold)
-    held_out, blocks = None, np.zeros((0, 2))
+    scored = averaged if averaged and isinstance(estimator, WholeRunFit) else rows
+    reconstruction = (extended or model).free_run_over(scored, records)
+    free_run = score_fit(scored.measured, reconstruction)
+    model = replace(model, rows=scored.kind, free_run_rms=free_run.rms)
+    predicted, known = _one_step(estimator, model, scored, records)
+    trained = _trained(spec, rows, scored, records, hold)
+    held_out = None
     if trained is not None:
-        test, free_run = rows.part(~rows.train), trained[~rows.train]
-        held_out = score_fit(test.measured, free_run)
-        blocks = block_errors(test.measured - free_run, test.runs)
+        held_out = score_fit(scored.measured, trained, ~scored.train)
     state, advice = _state(estimator)
-    errors = np.where(known, rows.measured - predicted, 0.0)
+    errors = np.where(known, scored.measured - predicted, 0.0)
     return EstimatorResult(
         name=spec.name,
         label=_label(spec, estimator),
@@ -174,12 +181,12 @@ def _run(
         state=state,
         advice=advice,
         equation=(extended or model).equation(),
-        free_run=score_fit(rows.measured, reconstruction),
-        one_step=score_fit(rows.measured, predicted, known),
+        rows=scored,
+        free_run=free_run,
+        one_step=score_fit(scored.measured, predicted, known),
         held_out=held_out,
         reconstruction=reconstruction,
         trained=reconstruction if trained is None else trained,
-        held_out_blocks=blocks,
         checks=_checks(estimator, errors, rows, model.valid_phi),
         seconds=seconds,
         whole_run=estimator if isinstance(estimator, WholeRunFit) else None,
@@ -219,26 +226,35 @@ def _one_step(
     if hasattr(estimator, "one_step"):
         prediction, known = estimator.one_step(rows.X, rows.measured, rows.labels)
         return prediction, known
-    prediction = model.one_step(rows.phi, rows.measured, rows.sample_period_s, rows.labels)
+    prediction = model.one_step_over(rows)
     known = np.ones(rows.measured.size, dtype=np.bool_)
     known[[run.start for run in rows.runs]] = False
     return prediction, known
 
 
+def _until_s(rows: FitRows, records: Sequence[CoefficientSeries]) -> list[float]:
+    """Return the time up to which each record is fitted where the rest is held out."""
+    train, time_s = rows.train, rows.time_s
+    return [
+        float(time_s[train & (rows.record == i)].max(initial=-np.inf)) for i in range(len(records))
+    ]
+
+
 def _trained(
-    spec: EstimatorSpec, rows: FitRows, records: Sequence[CoefficientSeries], hold: Hold
+    spec: EstimatorSpec,
+    rows: FitRows,
+    scored: FitRows,
+    records: Sequence[CoefficientSeries],
+    hold: Hold,
 ) -> FloatArray | None:
-    """Return the free run over all rows of a fit to the training rows, or None without both."""
-    if rows.train.all() or not rows.train.any():
+    """Return the free run over the scored rows of a fit to the training rows; None without both."""
+    if any(each.train.all() or not each.train.any() for each in (rows, scored)):
         return None
     train = rows.part(rows.train)
-    until_s = [
-        float(train.time_s[train.record == i].max(initial=-np.inf)) for i in range(len(records))
-    ]
-    estimator = spec.fitted(train, records, until_s)
+    estimator = spec.fitted(train, records, _until_s(rows, records))
     model: LagModel = getattr(estimator, "extended_", None) or _value(estimator, spec, train, hold)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
-    return model.free_run_over(rows, records, 2 * rows.labels + ~rows.train)
+    return model.free_run_over(scored, records, 2 * scored.labels + ~scored.train)
 
 
 def _checks(
@@ -271,35 +287,37 @@ def _table(
     results: tuple[EstimatorResult, ...], quotable: tuple[str, ...]
 ) -> tuple[ComparisonRow, ...]:
     """Set the estimator whose τ is to be quoted first, then order by trust."""
-    errors = {result.name: block_rms(result.held_out_blocks) for result in results}
-    known = [result for result in results if math.isfinite(errors[result.name][0])]
-    least = min(known, key=lambda result: errors[result.name][0], default=None)
 
-    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int, float]:
-        error = errors[result.name][0]
+    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int]:
+        # No error of a free run: a low one is no evidence of a right τ.
         return (
             quotable.index(result.name) if result.name in quotable else len(quotable),
             not result.converged,
             not result.model.measured,
             len(result.failed),
-            error if math.isfinite(error) else math.inf,
         )
 
-    rows = []
+    errors, rows = {}, []
+    for result in results:
+        left_out = ~result.rows.train & (result.held_out is not None)
+        errors[result.name] = (result.rows.measured - result.trained)[left_out]
     for rank, result in enumerate(sorted(results, key=distrust), start=1):
-        paired = (0.0, 0.0)
-        if least is not None and result is not least and math.isfinite(errors[result.name][0]):
-            paired = paired_difference(result.held_out_blocks, least.held_out_blocks)
+        own, kind = errors[result.name], result.rows.kind
+        labels = result.rows.labels[~result.rows.train]
+        runs = runs_of(labels, labels.size) if own.size else []
+        alike = [errors[r.name] for r in results if r.rows.kind == kind and errors[r.name].size]
+        difference, paired_error, p_value = compared(own, min(alike, key=rms, default=own), runs)
+        held_out = block_rms(block_errors(own, runs))
         tau = result.model.time_constant_s, result.model.time_constant_stderr_s
-        trust = _trust(result, *paired)
+        about = result.name, result.label, rank
         row = ComparisonRow(
-            result.name, result.label, rank, *errors[result.name], *paired, *tau, trust
+            *about, *held_out, difference, paired_error, *tau, _trust(result), kind, p_value
         )
         rows.append(row)
     return tuple(rows)
 
 
-def _trust(result: EstimatorResult, difference: float, paired_error: float) -> str:
+def _trust(result: EstimatorResult) -> str:
     """Say in words what in this line should not be relied on."""
     words = []
     if result.second_reading is not None:
@@ -314,10 +332,6 @@ def _trust(result: EstimatorResult, difference: float, paired_error: float) -> s
         words.append("no held-out rows: the rms is of the fit itself")
     elif result.held_out.r2 < 0.0:
         words.append("worse than a constant on held-out cycles")
-    elif 0.0 < abs(difference) < 2.0 * paired_error:
-        words.append("held-out error no larger than the least within the paired error")
-    if result.whole_run is not None:
-        words.append("fitted to unfiltered signals, scored here on the filtered rows of the others")
     if result.failed:
         words.append("failed: " + ", ".join(result.failed))
     return "; ".join(words) or "nothing speaks against it"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -23,7 +23,15 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["ENTRY_POINTS", "PEERS", "OwnFit", "check_method", "method_name", "method_spec"]
+__all__ = [
+    "ENTRY_POINTS",
+    "PEERS",
+    "OwnFit",
+    "check_method",
+    "method_name",
+    "method_spec",
+    "naming_of",
+]
 
 ENTRY_POINTS = "sindy_surge.methods"
 _ROOM = "comparisons.harness.peers"
@@ -104,6 +112,26 @@ def method_spec(
     return EstimatorSpec(called, called, fit)
 
 
+def naming_of(
+    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
+) -> Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None:
+    """Return ``firm_names`` of a method that names effects in place of a fit; None for others.
+
+    Parameters
+    ----------
+    given : str
+        ``module:Class`` or a name.
+    name : str, optional
+        What it is called; without it as by :func:`method_name`.
+    parameters : mapping, optional
+        What the class is made with.
+    """
+    made = _made(given, name or method_name(given), parameters or {}, 1e-3)
+    naming: Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None
+    naming = getattr(made, "firm_names", None)
+    return naming
+
+
 @dataclass(frozen=True)
 class OwnFit:
     """A fitted method, with the attributes of an estimator: NaN and none for what it lacks.
@@ -128,6 +156,11 @@ class OwnFit:
     def fit_state_(self) -> Any:
         """How its fit ended, where it says so."""
         return getattr(self.estimator, "fit_state_", None)
+
+    @property
+    def cautions_(self) -> tuple[str, ...]:
+        """What it warns of."""
+        return tuple(map(str, getattr(self.estimator, "cautions_", ())))
 
     @property
     def time_constant_s_(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -10,12 +11,13 @@ import numpy as np
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.series import CoefficientSeries
-from comparisons.results import FitRows
+from classic_ml.whole_run_rows import has_whole_run, whole_run_rows
+from comparisons.results import FitRows, Terms
 from surge_core.errors import InputError
-from surge_core.segments import runs_of
+from surge_core.segments import runs_of, scored_pieces
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "check_once", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "averaged_rows", "check_once", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
@@ -66,6 +68,54 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
     )
     _check_rows(records, phi, measured, target)
     return FitRows(phi, measured, time_s, labels, record_index, periods[0], target, train)
+
+
+def averaged_rows(
+    records: Sequence[CoefficientSeries], until_s: Sequence[float] | None = None
+) -> FitRows | None:
+    """Return the rows that a free run through whole unfiltered records is scored on.
+
+    Each stretch of them, in forward flow in stall, is a segment.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate.
+    until_s : sequence of float, optional
+        Time up to which each record is fitted; the rest is held out.
+
+    Returns
+    -------
+    FitRows or None
+        φ and ψ' averaged over one period of the stall cells; None without such rows, or where a
+        record lacks its unfiltered columns.
+    """
+    if not all(map(has_whole_run, records)):
+        return None
+    parts: list[tuple[Any, ...]] = []
+    n_labels = 0
+    for index, record in enumerate(records):
+        run = whole_run_rows(record)
+        labels = np.zeros(run.phi.size, dtype=np.int64)
+        for piece in scored_pieces(run.weight, slice(0, labels.size)):
+            n_labels += 1
+            labels[piece] = n_labels
+        own = labels > 0
+        train = run.time_s[own] <= (np.inf if until_s is None else until_s[index])
+        columns = run.phi, run.psi_p, run.time_s, labels
+        parts.append((*(c[own] for c in columns), np.full(train.size, index), train, own))
+    phi, psi_p, time_s, labels, record_index, train, keep = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
+    if not phi.size:
+        return None
+    averaged = partial(_averaged, tuple(records), keep)
+    signals = phi, psi_p, time_s, labels, record_index
+    return FitRows(*signals, records[0].sample_period_s, "psi_p", train, averaged)
+
+
+def _averaged(records: Sequence[CoefficientSeries], keep: BoolArray, at: Terms) -> FloatArray:
+    return np.concatenate([whole_run_rows(record, terms=at).terms for record in records])[keep]
 
 
 def check_once(records: Sequence[CoefficientSeries]) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, WrapValidator
 
+from classic_ml.series import CoefficientSeries
 from comparisons.results import FittedLag, LagModel
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json, write_whole
@@ -23,9 +25,9 @@ __all__ = [
     "SavedModel",
     "Span",
     "StandardError",
+    "about_models",
     "load_models",
     "read_models",
-    "recommended_model",
     "save_models",
     "write_models",
 ]
@@ -120,6 +122,9 @@ class SavedLag(SavedModel):
     )
     hold: Literal["zero", "first"] = Field(description='the hold "zero" or "first"')
     dead_time_s: float = Field(default=0.0, description="a dead time in s")
+    covariance: list[float] = Field(default=[], description="of τ and each term, row by row")
+    rows: Literal["filtered", "unfiltered"] = "filtered"
+    free_run_rms: Annotated[float, Field(ge=0.0), NULLABLE] = math.nan
 
     def lag(self) -> FittedLag:
         """Return the model as a value."""
@@ -128,6 +133,9 @@ class SavedLag(SavedModel):
             time_constant_s=self.time_constant_s,
             hold=self.hold,
             dead_time_s=self.dead_time_s,
+            covariance=tuple(self.covariance),
+            rows=self.rows,
+            free_run_rms=self.free_run_rms,
             **self.common(),
         )
 
@@ -138,6 +146,8 @@ M = TypeVar("M", bound=SavedModel)
 class _Document(Saved, Generic[M]):
     models: dict[str, M] = Field(min_length=1, description="a table of models")
     recommended: str | None = Field(default=None, description="the name of a model, or null")
+    # Mean φ of each record that they were fitted to, by which it is known again.
+    fitted_to: dict[str, float] = Field(default={}, description="mean φ of each record, by name")
 
 
 def write_models(
@@ -145,6 +155,7 @@ def write_models(
     path: str | Path,
     form: ModelFormat,
     recommended: str | None = None,
+    records: Sequence[CoefficientSeries] = (),
 ) -> None:
     """Write models as JSON that :func:`read_models` reads, whole or not at all.
 
@@ -158,10 +169,13 @@ def write_models(
         What the file is.
     recommended : str, optional
         The model to believe.
+    records : sequence of CoefficientSeries
+        What they were fitted to.
     """
     tables = {name: model.to_json() for name, model in models.items()}
-    document = {"schema": form.schema, "recommended": recommended, "models": tables}
-    write_whole(Path(path), to_strict_json(document))
+    fitted = {record.source: float(np.mean(record.phi)) for record in records}
+    about = {"schema": form.schema, "recommended": recommended, "fitted_to": fitted}
+    write_whole(Path(path), to_strict_json({**about, "models": tables}))
 
 
 def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str, M]:
@@ -201,20 +215,23 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
     return validated(kinds, document, str(file)).models
 
 
-def recommended_model(path: str | Path) -> str | None:
-    """Return the name of the model of a file that `compare` recommended, where it did.
+def about_models(path: str | Path) -> tuple[str | None, frozenset[float]]:
+    """Return the model of a file that `compare` recommended, and mean φ of the fitted records.
 
     Parameters
     ----------
     path : str or path
         A file that was read before.
     """
-    name = json.loads(Path(path).read_text("utf-8")).get("recommended")
-    return name if isinstance(name, str) else None
+    document = json.loads(Path(path).read_text("utf-8"))
+    return document.get("recommended"), frozenset(document.get("fitted_to", {}).values())
 
 
 def save_models(
-    models: Mapping[str, FittedLag], path: str | Path, recommended: str | None = None
+    models: Mapping[str, FittedLag],
+    path: str | Path,
+    recommended: str | None = None,
+    records: Sequence[CoefficientSeries] = (),
 ) -> None:
     """Write fitted models as JSON, whole or not at all.
 
@@ -226,8 +243,10 @@ def save_models(
         Target.
     recommended : str, optional
         The one that the comparison recommended.
+    records : sequence of CoefficientSeries
+        What they were fitted to.
     """
-    write_models(models, path, MODEL_FORMAT, recommended)
+    write_models(models, path, MODEL_FORMAT, recommended, records)
 
 
 def load_models(path: str | Path) -> dict[str, FittedLag]:

@@ -21,6 +21,7 @@ from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
+from classic_ml.whole_record_fit import LARGEST_SHARE
 from classic_ml.whole_run import Spread, WholeRunFit, check_rates, specification_spread
 from classic_ml.whole_run_rows import (
     WholeRunRows,
@@ -130,7 +131,9 @@ def fit_sparse_whole_runs(
     Returns
     -------
     SparseWholeRunFit
-        Refused by its state, with τ NaN, where hardly a row is in forward flow in stall.
+        Refused by its state, with τ NaN, where hardly a row is in forward flow in stall, where
+        probes at one immersion do not show which rows those are, and where its standard deviation
+        exceeds 12 % of τ, as of `classic_ml`: 25.6 ms and 36.1 ms were stated for 11.9 and 11.7.
 
     Raises
     ------
@@ -185,7 +188,28 @@ def fit_sparse_whole_runs(
         common_tau_share=spread.log_tau,
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
     )
-    return _result(found, period_s, hold, rows, library.names)
+    withheld = _withheld(records, plain, found, whole=until_s is None)
+    return _result(found, period_s, hold, rows, library.names, withheld)
+
+
+def _withheld(
+    records: Sequence[CoefficientSeries],
+    plain: Sequence[WholeRunRows],
+    found: SparseRun,
+    *,
+    whole: bool,
+) -> FitState | None:
+    """Return why τ is not stated; None where it is."""
+    if is_blowdown(plain):
+        return FitState.BLOWDOWN
+    if not whole:
+        return None
+    signals = [rake_signals_of(record) for record in records]
+    if any(each is not None and each.hub_minus_tip() is None for each in signals):
+        return FitState.ONE_IMMERSION
+    if found.time_constant_stderr_s > LARGEST_SHARE * found.time_constant_s:
+        return FitState.UNCERTAIN
+    return None
 
 
 def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeries:
@@ -232,6 +256,7 @@ def _result(
     hold: Hold,
     rows: tuple[WholeRunRows, ...],
     names: tuple[str, ...],
+    withheld: FitState | None,
 ) -> SparseWholeRunFit:
     from sindy_surge.candidate_terms import polynomial_degree
 
@@ -241,7 +266,7 @@ def _result(
     model = _output_error(sample_period_s, hold)
     if found.terms:
         model.fit(inputs[:, kept], psi_p, segments=runs, sample_weight=weight)
-    refused = is_blowdown(rows)
+    refused = withheld is not None
     unknown = np.full((len(found.terms), len(found.terms)), math.nan)
     powers = [polynomial_degree(name, ["phi"]) for name in found.terms]
     return SparseWholeRunFit(
@@ -253,7 +278,7 @@ def _result(
         max((power for power in powers if power is not None), default=0),
         found.n_blocks,
         int(weight.sum()),
-        FitState.BLOWDOWN if refused else found.state,
+        withheld or found.state,
         model,
         chosen,
         kept,

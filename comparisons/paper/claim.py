@@ -73,6 +73,8 @@ class Claim:
         How it was tested, and what else was seen.
     unit : str
         Unit of the numbers.
+    machines : tuple of bool
+        Whether it holds on each machine drawn about the paper's; empty where it was not asked.
     """
 
     id: int
@@ -84,10 +86,17 @@ class Claim:
     holds: bool
     how: str
     unit: str = ""
+    machines: tuple[bool, ...] = ()
 
     def shown(self, value: float | str) -> str:
         """Return a number of the claim with its unit, or the words."""
         return value if isinstance(value, str) else f"{value:.6g} {self.unit}".rstrip()
+
+    @property
+    def elsewhere(self) -> str:
+        """On how many other machines it holds; empty where it was not asked."""
+        n = len(self.machines)
+        return f"holds on {sum(self.machines)} of {n} machines drawn about this one" if n else ""
 
 
 def claims_json(claims: Sequence[Claim]) -> list[dict[str, Any]]:
@@ -122,14 +131,23 @@ def claims_table(claims: Sequence[Claim]) -> str:
         ]
         if not claim.holds:
             lines.append(f"tested: {claim.how}")
+        if claim.elsewhere:
+            lines.append(claim.elsewhere)
         word = "holds" if claim.holds else "does NOT hold"
         fields.append(Field(f"{claim.id:2} {word}", tuple(lines)))
     return Sheet(_title(claims), tuple(fields)).text()
 
 
 def _title(claims: Sequence[Claim]) -> str:
-    held = sum(claim.holds for claim in claims)
-    return f"The paper claim by claim: {held} of {len(claims)} hold"
+    tested = [claim for claim in claims if claim.kind == "tested"]
+    rest = [claim for claim in claims if claim.kind != "tested"]
+    kinds = [f"{sum(c.kind == kind for c in rest)} {kind}" for kind in ("conformance", "built in")]
+    off = ", ".join(str(claim.id) for claim in rest if not claim.holds)
+    return (
+        f"The paper claim by claim: {len(tested)} tested, of which "
+        f"{sum(claim.holds for claim in tested)} hold; {' and '.join(kinds)}"
+        + (f", of which {off} does not hold" if off else "")
+    )
 
 
 def claims_block(claims: Sequence[Claim]) -> Table:
@@ -142,25 +160,30 @@ def claims_block(claims: Sequence[Claim]) -> Table:
     """
     heads = (
         Head("", numeric=True),
-        Head("claim of the paper", "with its section", prose=True),
-        Head("kind", "conformance of the code, built into the rig, or tested"),
+        Head(
+            "claim of the paper",
+            "section, and kind: conformance of the code, built into the rig, or tested",
+            prose=True,
+        ),
         Head("stated", "what the paper says"),
         Head("found", "from the raw counts of the simulated rig"),
         Head("holds"),
         Head("how", "how it was tested, and what else was seen", prose=True),
     )
+    # What could have come out otherwise, and did, first.
+    kinds = ("tested", "conformance", "built in")
+    ordered = sorted(claims, key=lambda claim: (kinds.index(claim.kind), claim.holds))
     rows = tuple(
         (
             str(claim.id),
-            Cell(claim.claim, claim.section),
-            claim.kind,
+            Cell(claim.claim, f"{claim.section}; {claim.kind}"),
             claim.shown(claim.stated),
             claim.shown(claim.found),
             "yes" if claim.holds else "no",
-            claim.how,
+            claim.how + (f"; {claim.elsewhere}" if claim.elsewhere else ""),
         )
-        for claim in claims
+        for claim in ordered
     )
     return Table(
-        _title(claims), heads, rows, tuple("" if claim.holds else "failed" for claim in claims)
+        _title(claims), heads, rows, tuple("" if claim.holds else "failed" for claim in ordered)
     )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
@@ -13,16 +16,20 @@ from comparisons.harness.rows import stack_rows
 from comparisons.paper.claim import Finding
 from comparisons.paper.claims_surge import cell_power_ratio
 from comparisons.paper.instabilities import (
+    PAPER_WINDOWS_S,
     STEADY_STALL,
     TRIAL_TIME_CONSTANT_S,
     WRONG_TIME_CONSTANT_S,
     Instabilities,
+    InstabilityRun,
     fit_paper,
     reduce_run,
+    run_case,
 )
 from comparisons.paper.truth import LBM_KG, THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
 from comparisons.results import FitRows, FitScore, FittedLag
-from comparisons.rig import CASES, simulate
+from comparisons.rig import CASES, RigCase, simulate
+from comparisons.rig.drawn import SHAPES, shaped
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
@@ -40,6 +47,17 @@ VALID_WITHIN = 0.1
 TRIALS_MS = np.arange(6.0, 61.0, 1.0)
 SEEDS = 6
 SHIFTS_MS = (2.0, 5.0, 10.0)
+# Below this calculated Mach number the probes' law is varied: b of Eq 2 falls to nothing in
+# proportion in place of its jump at zero flow. No calibration says which holds there.
+PROBE_RAMP = 0.03
+# Truths that are no parabola: a kink, and a cubic part.
+BENT = ("kink 25", "+300 φ³")
+# "Little" beside "much": a tenth.
+LITTLE = 0.1
+# "Steeper near zero flow" is a result where the slope there is known to this share.
+SLOPE_WITHIN = 0.5
+# Thresholds between the regimes, in lbm/s, at which τ is looked for: all that separate something.
+WIDE_LBM_S = tuple(float(value) for value in range(14, 63, 6))
 
 
 def curve_change(
@@ -123,17 +141,37 @@ def claim_35(runs: Instabilities) -> Finding:
 
 
 def claim_36(runs: Instabilities) -> Finding:
-    """Check: a parabola, as low-speed in-stall data suggest it."""
+    """Check: a parabola, as low-speed in-stall data suggest it; also where the truth is none."""
     terms = runs[MAIN].fits["psi_p"].terms
     series = runs[STEADY_STALL].paper.series
     phi, measured, _ = steady_points(series)
     off = float(np.max(np.abs(_steady_parabola(series)(phi) / measured - 1.0)))
+    errors = {
+        shape: curve_change(run.fits["psi_p"], in_stall_psi_p(run, CURVE_PHI))
+        for shape, run in _bent(runs).items()
+    }
     return Finding(
         len(terms),
-        terms == ("1", "phi", "phi^2") and off < 0.02,
+        terms == ("1", "phi", "phi^2") and off < 0.02 and max(errors.values()) < VALID_WITHIN,
         f"terms in the fit; {phi.size} steady points of 75 % rotating stall lie within "
-        f"{100 * off:.1f} % of a parabola, 2 % allowed",
+        f"{100 * off:.1f} % of a parabola, 2 % allowed. Where the truth is none the parabola is "
+        "off it by up to "
+        + ", ".join(f"{100 * error:.0f} % ({shape})" for shape, error in errors.items())
+        + f", {100 * VALID_WITHIN:.0f} % allowed",
     )
+
+
+def _bent(runs: Instabilities) -> dict[str, InstabilityRun]:
+    """Return the 98.5 % test of machines whose in-stall curve is no parabola."""
+    known = runs[MAIN].rig.truth_parameters["case"]
+    fields: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
+    }
+    case = RigCase(**fields)
+    return {
+        shape: run_case(shaped(case, *SHAPES[shape]), runs[MAIN].seed, PAPER_WINDOWS_S[MAIN])
+        for shape in BENT
+    }
 
 
 def _steady_parabola(series: CoefficientSeries) -> np.polynomial.Polynomial:
@@ -142,31 +180,37 @@ def _steady_parabola(series: CoefficientSeries) -> np.polynomial.Polynomial:
 
 
 def claim_37(runs: Instabilities) -> Finding:
-    """Check: the range of φ in which the in-stall data dwell."""
+    """Check: the range of φ in which the in-stall data dwell, by the measured histogram."""
     run = runs[MAIN]
-    low, high = trusted_range(run.rig.truth["phi"][run.window & run.stalled])
+    low, high = trusted_range(run.paper.series.phi[run.paper.series.scored])
     phi = np.linspace(*RELIABLE_PHI, 41)
     error = curve_change(run.fits["psi_p"], in_stall_psi_p(run, phi), phi)
     return Finding(
         f"{low:.3f} to {high:.3f}",
         abs(low - RELIABLE_PHI[0]) <= 0.03 and abs(high - RELIABLE_PHI[1]) <= 0.03,
-        "5 to 95 % of the rig's own in-stall flow, 0.03 allowed; over the stated range the curve "
-        f"is within {100 * error:.0f} % of the truth",
+        "5 to 95 % of the measured in-stall flow coefficient, 0.03 allowed for each end; over the "
+        f"stated range the curve is within {100 * error:.0f} % of the truth",
     )
 
 
 def claim_38(runs: Instabilities) -> Finding:
-    """Check: a time constant that is far too long."""
-    rig = simulate("blowdown", seed=runs[MAIN].seed)
-    fit = fit_paper(reduce_run(rig).series)
-    found_ms, true_ms = 1e3 * fit.time_constant_s, 1e3 * rig.truth_parameters["tau_s"]
-    a = float(np.exp(-1e-3 / WRONG_TIME_CONSTANT_S))
+    """Check: a time constant that is far too long, looked for at 98.5 % speed."""
+    run = runs[MAIN]
+    found_ms, true_ms = 1e3 * run.fits["psi_p"].time_constant_s, 1e3 * run.true_tau_s
+    slow = fit_paper(reduce_run(simulate("blowdown", seed=run.seed)).series)
+    others = {}
+    for threshold in WIDE_LBM_S:
+        settings = replace(run.paper.settings, threshold_lbm_s=threshold)
+        others[threshold] = 1e3 * fit_paper(reduce_run(run.rig, settings).series).time_constant_s
+    worst = max(others, key=lambda threshold: others[threshold])
     return Finding(
         round(found_ms, 1),
-        found_ms > 3.0 * true_ms and abs(a - 0.995893) < 1e-6,
-        f"the paper's way on a rig whose plenum blows down slowly, true {true_ms:.0f} ms; three "
-        "times that is far too long. The rig's 98.5 % surges give "
-        f"{1e3 * runs[MAIN].fits['psi_p'].time_constant_s:.0f} ms",
+        found_ms > 3.0 * true_ms,
+        f"the paper's way on the 98.5 % surge, split at 50 lbm/s as in the paper, true "
+        f"{true_ms:.0f} ms; three times that is far too long. It is reached where the rows leave "
+        f"out most of the forward flow: {others[worst]:.0f} ms at {worst:.0f} lbm/s; and on a "
+        "machine of that speed whose plenum blows down slowly: "
+        f"{1e3 * slow.time_constant_s:.0f} ms",
     )
 
 
@@ -175,18 +219,26 @@ def claim_39(runs: Instabilities) -> Finding:
     surge, series = runs[MAIN].fits["psi_p"], runs[STEADY_STALL].paper.series
     phi, measured, _ = steady_points(series)
     below = measured - surge.quasi_steady(phi)
-    ends = np.array([0.0, 0.05])
-    slope, steady_slope = (
-        float(np.diff(curve(ends))[0]) / 0.05
-        for curve in (surge.quasi_steady, _steady_parabola(series))
-    )
+    slope, steady_slope = _slope(surge.quasi_steady), _slope(_steady_parabola(series))
+    wrong = {}
+    for shape, run in _bent(runs).items():
+        true = _slope(partial(in_stall_psi_p, run))
+        wrong[shape] = abs(_slope(run.fits["psi_p"].quasi_steady) / true - 1.0)
     return Finding(
         f"lower by {below.min():.2f} to {below.max():.2f}; slope {slope:.1f} for "
         f"{steady_slope:.1f}",
-        float(below.min()) > 0.0 and slope > steady_slope,
+        float(below.min()) > 0.0 and slope > steady_slope and max(wrong.values()) < SLOPE_WITHIN,
         f"98.5 % estimate against {phi.size} steady points of the rig's 75 % rotating stall, φ "
-        f"from {phi.min():.2f} to {phi.max():.2f}; mean slopes dψ'/dφ from φ = 0 to 0.05",
+        f"from {phi.min():.2f} to {phi.max():.2f}; mean slopes dψ'/dφ from φ = 0 to 0.05. Where "
+        "the truth is no parabola that slope is off by "
+        + ", ".join(f"{100 * error:.0f} % ({shape})" for shape, error in wrong.items())
+        + f", {100 * SLOPE_WITHIN:.0f} % allowed",
     )
+
+
+def _slope(curve: Callable[[FloatArray], ArrayLike]) -> float:
+    """Return the mean slope of a characteristic from φ = 0 to 0.05."""
+    return float(np.diff(np.asarray(curve(np.array([0.0, 0.05]))))[0]) / 0.05
 
 
 def claim_40(runs: Instabilities) -> Finding:
@@ -230,9 +282,9 @@ def claim_42(runs: Instabilities) -> Finding:
     share = float(np.sum(np.minimum(leaving, 0.0)) / np.sum(np.minimum(inlet, 0.0)))
     return Finding(
         f"at most {-leaving.min():.1f} lbm/s reversed at the exit, {-inlet.min():.1f} at the inlet",
-        bool(leaving.min() > inlet.min()),
-        "the largest reversed flow at the exit is below that at the inlet. It is less, not little: "
-        f"of the reversed mass at the inlet {100 * share:.0f} % passes the exit",
+        share < LITTLE,
+        f"of the reversed mass at the inlet {100 * share:.0f} % passes the exit; little is less "
+        f"than {100 * LITTLE:.0f} %",
     )
 
 
@@ -252,20 +304,34 @@ def claim_44(runs: Instabilities) -> Finding:
     """Check: the time constant by trial and error."""
     rows, fit = stack_rows([runs[SLOW].paper.series]), runs[SLOW].fits["psi_p"]
     errors = [_reconstruct(fit, rows, 1e-3 * tau).rms for tau in TRIALS_MS]
-    best = float(TRIALS_MS[int(np.argmin(errors))])
+    best, ramped = _best_trial_ms(rows, fit), _best_trial_ms(*_ramped(runs[SLOW]))
     chosen = _reconstruct(fit, rows, TRIAL_TIME_CONSTANT_S).rms
     wrong = _reconstruct(fit, rows, WRONG_TIME_CONSTANT_S).rms
     a = float(np.exp(-1e-3 / TRIAL_TIME_CONSTANT_S))
     return Finding(
         best,
-        abs(best - 18.0) <= 4.0
+        max(abs(best - 18.0), abs(ramped - 18.0)) <= 4.0
         and chosen < 1.1 * min(errors)
         and wrong > 2.0 * chosen
         and abs(a - 0.945959) < 1e-6,
-        "best of 6 to 60 ms in steps of 1 ms with the estimated curve kept, 4 ms allowed; rms of "
+        "best of 6 to 60 ms in steps of 1 ms with the estimated curve kept, 4 ms allowed. With a "
+        f"ramp in place of the probes' jump below a calculated Mach number of {PROBE_RAMP:g} it is "
+        f"{ramped:.0f} ms, the strongest systematic there is; rms of "
         f"ψ' {chosen:.2f} with 18 ms and {wrong:.2f} with 243 ms, ψ' itself moves by "
         f"{np.std(rows.measured):.2f}",
     )
+
+
+def _best_trial_ms(rows: FitRows, fit: FittedLag) -> float:
+    """Return the time constant with which the curve reconstructs best, in ms."""
+    errors = [_reconstruct(fit, rows, 1e-3 * tau).rms for tau in TRIALS_MS]
+    return float(TRIALS_MS[int(np.argmin(errors))])
+
+
+def _ramped(run: InstabilityRun) -> tuple[FitRows, FittedLag]:
+    """Reduce and fit a run with a law of the probes that has no jump at zero flow."""
+    series = reduce_run(run.rig, replace(run.paper.settings, probe_ramp=PROBE_RAMP)).series
+    return stack_rows([series]), fit_paper(series)
 
 
 def _reconstruct(fit: FittedLag, rows: FitRows, time_constant_s: float) -> FitScore:
@@ -297,11 +363,19 @@ def claim_46(runs: Instabilities) -> Finding:
     spread, spread_tau = _variation(curves), _variation(taus)
     curve = _rms_error(curves, in_stall_psi_p(main, CURVE_PHI))
     tau = _rms_error(taus, main.true_tau_s)
+    _, ramped = _ramped(main)
+    moved = curve_change(ramped, main.fits["psi_p"])
+    moved_tau = abs(ramped.time_constant_s / main.fits["psi_p"].time_constant_s - 1.0)
     return Finding(
         f"curve off by {100 * curve:.0f} %, τ by {100 * tau:.0f} %",
-        spread < 0.05 and spread < spread_tau and curve < 0.1 and tau > 2.0 * curve,
+        spread < 0.05
+        and spread < spread_tau
+        and curve < 0.1
+        and tau > 2.0 * curve
+        and moved < min(0.1, moved_tau),
         f"rms error over {SEEDS} seeds of the sensors, 10 % allowed to the curve; scatter "
-        f"{100 * spread:.1f} and {100 * spread_tau:.1f} %",
+        f"{100 * spread:.1f} and {100 * spread_tau:.1f} %. A ramp in place of the probes' jump "
+        f"moves the curve by {100 * moved:.0f} % and τ by {100 * moved_tau:.0f} %",
     )
 
 

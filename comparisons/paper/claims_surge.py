@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from classic_ml.calibration import calibrate
@@ -32,9 +34,11 @@ def _settling_s(run: InstabilityRun) -> float:
     flow, time_s = record["Wc25_kg_s"], record.time_s
     # From its trough of P31 the machine recovers and then stalls: that stall starts the cycle.
     above = flow > THRESHOLD_LBM_S * LBM_KG
-    recovered = np.flatnonzero((time_s > cycles.from_s) & above)[0]
-    stalled = recovered + np.flatnonzero(flow[recovered:] < 0.0)[0]
-    return float(time_s[stalled]) - cycles.first_reversal_s
+    recovered = np.flatnonzero((time_s > cycles.from_s) & above)
+    stalled = np.flatnonzero((flow < 0.0) & (np.arange(flow.size) > min(recovered, default=0)))
+    if not (recovered.size and stalled.size):
+        return math.nan
+    return float(time_s[stalled[0]]) - cycles.first_reversal_s
 
 
 def _rise(run: InstabilityRun, channel: str) -> tuple[float, float]:
@@ -142,7 +146,11 @@ def claim_31(runs: Instabilities) -> Finding:
     record, window = runs[MAIN].paper.record, runs[MAIN].window
     slope = np.gradient(record["T25_K"], record.sample_period_s)
     stalled = record["in_stall"] > 0.5
-    inside, outside = (float(np.mean(slope[window & mask])) for mask in (stalled, ~stalled))
+    # Some machines never leave stall in the window: then there is no recovery to fall in.
+    inside, outside = (
+        float(np.sum(slope[window & mask])) / max(int(np.count_nonzero(window & mask)), 1)
+        for mask in (stalled, ~stalled)
+    )
     return Finding(
         f"{inside:+.0f} K/s in stall, {outside:+.0f} K/s in recovery",
         inside > 0.0 > outside,

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from classic_ml import LagRegressor, PiecewiseLinear
+from classic_ml.cycles import find_cycles
 from classic_ml.io import read_raw
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
@@ -18,12 +19,14 @@ from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
-from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
+from comparisons.rig import CASES, RigCase, RigRun, SensorSettings, simulate, write_run
+from surge_core.errors import InputError
 from surge_core.types import BoolArray
 
 __all__ = [
     "INSTABILITIES",
     "PAPER_SETTINGS",
+    "PAPER_WINDOWS_S",
     "STEADY_STALL",
     "TRIAL_TIME_CONSTANT_S",
     "WRONG_TIME_CONSTANT_S",
@@ -33,6 +36,7 @@ __all__ = [
     "reduce_run",
     "run_case",
     "run_instabilities",
+    "run_machines",
 ]
 
 # "Four instabilities at three speeds"; and the low-speed rotating stall of Fig 20 and 23.
@@ -44,6 +48,17 @@ TRIAL_TIME_CONSTANT_S = 0.018
 # "1.8 < Time < 3.6 Seconds" (Fig 11); no window is stated for the others, so it is found.
 PAPER_WINDOWS_S: Mapping[str, tuple[float, float]] = {"985": (1.8, 3.6)}
 CURVE_POINTS = 121
+# Shares of the paper's machine between which others are drawn: wide enough to move every number
+# that is compared, narrow enough that about every second machine surges at all four tests.
+ABOUT: Mapping[str, tuple[float, float]] = {
+    "discharge_volume_m3": (0.95, 1.05),
+    "exhaust_volume_m3": (0.95, 1.05),
+    "inlet_volume_m3": (0.95, 1.05),
+    "inertia_per_m": (0.95, 1.05),
+    "reverse_loss": (0.8, 1.2),
+    "tau_s": (0.85, 1.15),
+    "hub_tip_flow_kg_s": (0.85, 1.15),
+}
 
 # What the paper did, every switch that matters named: the defaults of the reduction are another
 # matter and may change.
@@ -133,7 +148,51 @@ def run_instabilities(
     return {case: run_case(case, seed) for case in progress(cases)}
 
 
-def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
+def run_machines(
+    n: int, seed: int, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
+) -> tuple[Instabilities, ...]:
+    """Simulate, reduce and fit every test of the paper on machines drawn about the paper's.
+
+    Volumes, inertia, curve, τ, loss in reversed flow and the deficit of hub and tip are drawn, the
+    same for all tests of a machine. One that does not surge at each speed is drawn again, for a
+    claim about surge says nothing of it. The window of the cycles is the paper's where it states
+    one.
+
+    Parameters
+    ----------
+    n : int
+        Number of machines.
+    seed : int
+        Of the draws, and of the sensors.
+    progress : callable
+        Wraps the iteration over the machines, to show how far it is.
+    """
+    rng = np.random.default_rng([seed, 36])
+    return tuple(_machine(rng, seed + 1 + k) for k in progress(range(n)))
+
+
+def _machine(rng: np.random.Generator, seed: int) -> Instabilities:
+    while True:
+        share = {name: float(rng.uniform(*about)) for name, about in ABOUT.items()}
+        bent = rng.uniform(0.97, 1.03, 3)
+        runs = {}
+        try:
+            for name in (*INSTABILITIES, STEADY_STALL):
+                base = CASES[name]
+                moved = {key: getattr(base, key) * factor for key, factor in share.items()}
+                moved["pressure_terms"] = tuple(np.array(base.pressure_terms) * bent)
+                case = replace(base, **moved)
+                runs[name] = run_case(case, seed)
+                if name != STEADY_STALL:
+                    find_cycles(runs[name].paper.record)
+        except InputError:
+            continue
+        return runs
+
+
+def run_case(
+    case: str | RigCase, seed: int = 0, window_s: tuple[float, float] | None = None
+) -> InstabilityRun:
     """Simulate, reduce and fit one test.
 
     Parameters
@@ -142,10 +201,13 @@ def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
         The rig's case.
     seed : int
         Seed of the rig's sensors.
+    window_s : tuple of float, optional
+        Quasi-steady cycles; without it those of the paper, or found where it states none.
     """
     name = case if isinstance(case, str) else case.name
     rig = simulate(case, seed=seed)
-    paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name)))
+    window_s = window_s or PAPER_WINDOWS_S.get(name)
+    paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=window_s))
     fits = {}
     if name != STEADY_STALL:
         fits["psi_p"] = fit_paper(paper.series)

@@ -34,9 +34,11 @@ THRESHOLD_LBM_S = 50.0
 
 def in_stall_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
     """Return the rig's quasi-steady ψ' in stall, without the loss of reversed flow (Eq 12)."""
-    return np.asarray(
-        np.polynomial.polynomial.polyval(np.asarray(phi), run.rig.truth_parameters["beta"])
-    )
+    known, flow = run.rig.truth_parameters, np.asarray(phi, dtype=np.float64)
+    case = known["case"]
+    bend = case["pressure_kink"] * np.maximum(flow - case["kink_phi"], 0.0)
+    bend = bend + case["pressure_cubic"] * flow**3
+    return np.asarray(np.polynomial.polynomial.polyval(flow, known["beta"]) + bend)
 
 
 def in_stall_psi(run: InstabilityRun, phi: ArrayLike) -> FloatArray:

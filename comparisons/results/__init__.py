@@ -17,9 +17,9 @@ from comparisons.results.names import ESTIMATOR_LABELS, SYMBOLS, estimator_label
 from comparisons.results.reconstruction import (
     RECONSTRUCTION_COLUMNS,
     Reconstruction,
-    reconstruction_grid,
+    reconstruction_grids,
 )
-from comparisons.results.rows import FitRows, FitScore
+from comparisons.results.rows import FitRows, FitScore, Terms
 from comparisons.results.tau import TauEstimate, TauTrial, Truth
 from comparisons.results.terms import evaluate_terms, is_known_term
 
@@ -41,10 +41,11 @@ __all__ = [
     "Reconstruction",
     "TauEstimate",
     "TauTrial",
+    "Terms",
     "Truth",
     "estimator_label",
     "evaluate_terms",
     "is_known_term",
-    "reconstruction_grid",
+    "reconstruction_grids",
     "texts_of",
 ]

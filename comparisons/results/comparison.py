@@ -19,7 +19,7 @@ from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
 
-__all__ = ["COLUMNS", "Comparison", "ComparisonRow", "EstimatorResult"]
+__all__ = ["COLUMNS", "Comparison", "ComparisonRow", "EstimatorResult", "difference_cells"]
 
 ONE_SIDED_95 = 1.645
 # Heading of each column of the table, and what it says.
@@ -29,10 +29,18 @@ COLUMNS = {
     "τ [ms]": "time constant ± standard error",
     "95 % [ms]": "95 % interval of τ: on log τ where τ is well separated from zero, symmetric and "
     "cut at zero where it is less so, an upper bound where it is not separated from zero",
+    "rows": "the signals that it was fitted to and is scored on: low-passed, or unfiltered and "
+    "averaged over a period of the stall cells",
     "held-out rms": "root mean square of measurement minus free run on the rows held out",
-    "Δ to least": "difference of that rms to the least ± paired jackknife error",
+    "Δ to least": "difference of that rms to the least on the same rows ± paired jackknife error",
+    "p": "chance of so great a difference of the squared errors between two that are alike, by "
+    "Diebold and Mariano's test",
     "trust": "what in this line should not be relied on",
 }
+
+
+# Differences of ψ' below this are no differences: solvers end at about 1e-9 of its range.
+SAME_RMS = 1e-7
 
 
 @dataclass(frozen=True)
@@ -49,16 +57,16 @@ class EstimatorResult:
         Code of how the fit ended and what to do about it.
     equation : str
         The model in one line.
+    rows : FitRows
+        The rows that it is scored on: of the kind that it was fitted to.
     free_run, one_step : FitScore
-        Scores over all rows.
+        Scores over all of them.
     held_out : FitScore or None
         Free run on the rows held out, by a fit to the others; None where there were too few.
     reconstruction : ndarray of shape (n,)
-        Free run over the fitted rows from each segment's measured start.
+        Free run over its rows from each segment's measured start.
     trained : ndarray of shape (n,)
         The same by the fit to the training rows alone: what the held-out rows are scored with.
-    held_out_blocks : ndarray of shape (n_blocks, 2)
-        Squared error and rows of each held-out block, for paired differences.
     checks : tuple of CheckRow
         Residual checks.
     seconds : float
@@ -77,12 +85,12 @@ class EstimatorResult:
     state: str
     advice: str
     equation: str
+    rows: FitRows
     free_run: FitScore
     one_step: FitScore
     held_out: FitScore | None
     reconstruction: FloatArray
     trained: FloatArray
-    held_out_blocks: FloatArray
     checks: tuple[CheckRow, ...]
     seconds: float
     whole_run: WholeRunFit | None = None
@@ -138,11 +146,15 @@ class ComparisonRow:
     held_out_rms, held_out_stderr : float
         Free-run error on held-out rows and its standard error over the blocks.
     difference, paired_error : float
-        Of that rms to the least one, on the same blocks.
+        Of that rms to the least one on rows of the same kind, on the same blocks.
     time_constant_s, time_constant_stderr_s : float
         τ and its standard error.
     trust : str
         A word on what to trust in this line.
+    rows : {"filtered", "unfiltered"}
+        Which signals it was fitted to and scored on.
+    p_value : float
+        Of Diebold and Mariano's test of that difference; NaN for the least one.
     """
 
     estimator: str
@@ -155,6 +167,8 @@ class ComparisonRow:
     time_constant_s: float
     time_constant_stderr_s: float
     trust: str
+    rows: str = "filtered"
+    p_value: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -241,15 +255,24 @@ def _quoted(comparison: Comparison) -> str:
 
 
 def _cells(row: ComparisonRow, result: EstimatorResult) -> tuple[str, ...]:
-    held_out = difference = NOT_KNOWN
+    held_out = difference = p = NOT_KNOWN
     if math.isfinite(row.held_out_rms):
         held_out = round_to_error(row.held_out_rms, row.held_out_stderr)
-        difference = "least"
-        if row.difference != 0.0:
-            difference = round_to_error(row.difference, row.paired_error)
+        difference, p = difference_cells(row.difference, row.paired_error, row.p_value)
     tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
     interval = _interval(result.model)
-    return (str(row.rank), row.label, tau, interval, held_out, difference, row.trust)
+    return (str(row.rank), row.label, tau, interval, row.rows, held_out, difference, p, row.trust)
+
+
+def difference_cells(difference: float, paired_error: float, p_value: float) -> tuple[str, str]:
+    """Return a difference to the least error and its p-value as a table shows them."""
+    if difference == 0.0:
+        return "least", ""
+    # Two fits of the same rows by the same equation: what is left is how they were solved.
+    if abs(difference) < SAME_RMS and not paired_error > SAME_RMS:
+        return "alike", ""
+    p = NOT_KNOWN if math.isnan(p_value) else f"{p_value:.3f}" if p_value >= 0.001 else "< 0.001"
+    return round_to_error(difference, paired_error), p
 
 
 def _interval(model: FittedLag) -> str:

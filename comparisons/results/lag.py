@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,6 +86,12 @@ class FittedLag:
         How much later than φ the coefficient was measured, in seconds; negative if φ was late.
     interval_s : tuple of float, optional
         95 % interval of τ, where the estimator states its own.
+    covariance : tuple of float
+        Of τ in seconds and the β_i, in that order, row by row; empty where it is not known.
+    rows : {"filtered", "unfiltered"}
+        Which signals it was fitted to.
+    free_run_rms : float
+        Error of its free run over the rows that it was fitted to.
     """
 
     estimator: str
@@ -101,6 +107,9 @@ class FittedLag:
     n_blocks: int = 0
     dead_time_s: float = 0.0
     interval_s: tuple[float, float] | None = None
+    covariance: tuple[float, ...] = ()
+    rows: Literal["filtered", "unfiltered"] = "filtered"
+    free_run_rms: float = math.nan
 
     @classmethod
     def from_estimator(
@@ -143,6 +152,7 @@ class FittedLag:
             int(getattr(estimator, "n_blocks_", 0)),
             float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
             getattr(estimator, "ci95_s_", None),
+            _joint_covariance(estimator),
         )
 
     @property
@@ -151,16 +161,21 @@ class FittedLag:
         return 0.0 < 2.0 * self.time_constant_stderr_s < self.time_constant_s < math.inf
 
     @property
-    def ci95_s(self) -> tuple[float, float]:
-        """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
+    def quantile(self) -> float:
+        """Standard errors to either side of a 95 % interval."""
         from scipy.stats import norm, t
 
+        # A variance from few blocks is itself uncertain.
+        n = self.n_blocks
+        return float(t.isf(0.025, n - 1) if n > 1 else norm.isf(0.025))
+
+    @property
+    def ci95_s(self) -> tuple[float, float]:
+        """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
         if self.interval_s is not None:
             return self.interval_s
-        tau_s, n = self.time_constant_s, self.n_blocks
-        # A variance from few blocks is itself uncertain.
-        quantile = float(t.isf(0.025, n - 1) if n > 1 else norm.isf(0.025))
-        reach = quantile * self.time_constant_stderr_s
+        tau_s = self.time_constant_s
+        reach = self.quantile * self.time_constant_stderr_s
         if not math.isfinite(reach):
             return (math.nan, math.nan)
         if reach > 0.5 * tau_s:
@@ -171,7 +186,7 @@ class FittedLag:
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
         """Return the characteristic at φ, of shape (n,)."""
-        if self.terms and all(is_known_term(term) for term in self.terms):
+        if self._knows_terms:
             terms = evaluate_terms(list(self.terms), phi)
             return np.asarray(terms @ np.asarray(self.coefficients))
         grid, value, _ = np.asarray(self.table).T
@@ -197,10 +212,19 @@ class FittedLag:
         start : ndarray of shape (n,), optional
             Measured coefficient; only the first row of each segment is used.
         """
-        out = self._as_it_acts(phi, sample_period_s, labels)
+        return self._answer(self.quasi_steady(phi), sample_period_s, labels, start)
+
+    def _answer(
+        self,
+        quasi_steady: FloatArray,
+        sample_period_s: float,
+        labels: ArrayLike | None,
+        start: FloatArray | None,
+    ) -> FloatArray:
+        out = self._late(quasi_steady, sample_period_s, labels)
         if not math.isfinite(self.time_constant_s):
             return out
-        begin = self.quasi_steady(phi) if start is None else start
+        begin = quasi_steady if start is None else start
         lag = FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
         for run in runs_of(labels, out.size):
             out[run] = lag.respond(out[run], begin[run.start])
@@ -224,30 +248,61 @@ class FittedLag:
             In place of the rows' own segments.
         """
         marks = rows.labels if labels is None else labels
-        return self.free_run(rows.phi, rows.sample_period_s, marks, start=rows.measured)
+        return self._answer(self._over(rows), rows.sample_period_s, marks, rows.measured)
 
-    def one_step(
-        self,
-        phi: FloatArray,
-        target: FloatArray,
-        sample_period_s: float,
-        labels: ArrayLike | None = None,
-    ) -> FloatArray:
+    def free_run_stderr(self, rows: FitRows) -> FloatArray:
+        """Return the standard error of the free run over rows, of shape (n,).
+
+        That of the covariance of τ and the coefficients, carried through the free run by its
+        derivatives; the start of a segment is measured and adds nothing. NaN where the model knows
+        no covariance, or no function of its terms.
+
+        Parameters
+        ----------
+        rows : FitRows
+            The rows.
+        """
+        n = len(self.terms) + 1
+        known = self._knows_terms and math.isfinite(self.time_constant_s)
+        if not known or len(self.covariance) != n * n:
+            return np.full(rows.phi.size, math.nan)
+        covariance = np.reshape(self.covariance, (n, n))
+        inputs = rows.terms(lambda phi: evaluate_terms(list(self.terms), phi))
+        lag = FirstOrderLag(self.time_constant_s, rows.sample_period_s, self.hold)
+        variance = np.empty(rows.phi.size)
+        late = [self._late(column, rows.sample_period_s, rows.labels) for column in inputs.T]
+        acting = np.column_stack(late)
+        quasi_steady = acting @ np.asarray(self.coefficients)
+        for run in rows.runs:
+            state = lag.respond(quasi_steady[run], rows.measured[run.start])
+            by_tau = lag.d_respond(quasi_steady[run], state) / self.time_constant_s
+            moves = np.column_stack([by_tau, lag.respond(acting[run], 0.0)])
+            variance[run] = np.einsum("ij,jk,ik->i", moves, covariance, moves)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    def one_step_over(self, rows: FitRows) -> FloatArray:
         """Predict each row from the measured row before it; first rows predict themselves."""
-        out = self._as_it_acts(phi, sample_period_s, labels)
+        out = self._late(self._over(rows), rows.sample_period_s, rows.labels)
         if not math.isfinite(self.time_constant_s):
             return out
-        lag = FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
-        for run in runs_of(labels, out.size):
-            out[run][1:] = lag.a * target[run][:-1] + lag.drive(out[run])
-            out[run.start] = target[run.start]
+        lag = FirstOrderLag(self.time_constant_s, rows.sample_period_s, self.hold)
+        for run in rows.runs:
+            out[run][1:] = lag.a * rows.measured[run][:-1] + lag.drive(out[run])
+            out[run.start] = rows.measured[run.start]
         return out
 
-    def _as_it_acts(
-        self, phi: FloatArray, sample_period_s: float, labels: ArrayLike | None
+    @property
+    def _knows_terms(self) -> bool:
+        return bool(self.terms) and all(map(is_known_term, self.terms))
+
+    def _over(self, rows: FitRows) -> FloatArray:
+        return rows.terms(lambda phi: self.quasi_steady(phi)[:, None])[:, 0]
+
+    def _late(
+        self, values: FloatArray, sample_period_s: float, labels: ArrayLike | None
     ) -> FloatArray:
-        """Return the characteristic dead_time_s later, the ends of each segment prolonged."""
-        out = self.quasi_steady(phi)
+        """Return values dead_time_s later, the ends of each segment prolonged."""
+        out = values.copy()
         late = self.dead_time_s / sample_period_s
         for run in runs_of(labels, out.size) if late else ():
             rows = np.arange(run.stop - run.start, dtype=np.float64)
@@ -278,7 +333,21 @@ class FittedLag:
             "n_blocks": self.n_blocks,
             "dead_time_s": self.dead_time_s,
             "characteristic": [list(row) for row in self.table],
+            "covariance": list(self.covariance),
+            "rows": self.rows,
+            "free_run_rms": self.free_run_rms,
         }
+
+
+def _joint_covariance(estimator: Any) -> tuple[float, ...]:
+    """Return the covariance of τ and the coefficients, uncorrelated where it is not said."""
+    from scipy.linalg import block_diag
+
+    joint = getattr(estimator, "parameter_covariance_", None)
+    if joint is None:
+        stderr_s = float(estimator.time_constant_stderr_s_)
+        joint = block_diag([[stderr_s**2]], np.asarray(estimator.covariance_))
+    return tuple(np.ravel(joint).tolist()) if np.all(np.isfinite(joint)) else ()
 
 
 def _term(name: str, value: float, stderr: float) -> str:

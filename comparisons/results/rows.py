@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["FitRows", "FitScore"]
+__all__ = ["FitRows", "FitScore", "Terms"]
+
+# Gives terms, of shape (n, q), at φ of shape (n,).
+Terms = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,9 @@ class FitRows:
         Which coefficient ``measured`` is.
     train : ndarray of bool, shape (n,)
         Rows that the held-out score is fitted to; the rest is held out.
+    averaged : callable, optional
+        Of rows that are averages of unfiltered signals: returns terms of the unfiltered φ,
+        averaged as ``measured`` was.
     """
 
     phi: FloatArray
@@ -40,6 +48,16 @@ class FitRows:
     sample_period_s: float
     target: str
     train: BoolArray
+    averaged: Callable[[Terms], FloatArray] | None = None
+
+    @property
+    def kind(self) -> Literal["filtered", "unfiltered"]:
+        """Which signals they hold."""
+        return "filtered" if self.averaged is None else "unfiltered"
+
+    def terms(self, at: Terms) -> FloatArray:
+        """Return terms of φ in these rows, of shape (n, q)."""
+        return at(self.phi) if self.averaged is None else self.averaged(at)
 
     @property
     def X(self) -> FloatArray:
@@ -57,7 +75,7 @@ class FitRows:
         return len(self.runs)
 
     def part(self, keep: BoolArray) -> FitRows:
-        """Return some of the rows."""
+        """Return some of the filtered rows."""
         return FitRows(
             self.phi[keep],
             self.measured[keep],

@@ -99,6 +99,7 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "fit_state": fit_state,
         # The key of files written before `fit_state`.
         "state": fit_state,
+        "rows": result.rows.kind,
         "fit": {
             "free_run": result.free_run.to_json(),
             "held_out": result.held_out.to_json() if result.held_out else None,

@@ -105,7 +105,7 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     )
 
 
-def reconstruction(comparison: Comparison, record: int = 0) -> Picture:
+def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtered") -> Picture:
     """Draw the free run of each estimator against the measurement of one record (Fig 27).
 
     Parameters
@@ -114,39 +114,42 @@ def reconstruction(comparison: Comparison, record: int = 0) -> Picture:
         Estimators side by side.
     record : int
         Index of the record.
+    kind : {"filtered", "unfiltered"}
+        Which rows: those of the estimators that were fitted to such.
 
     Returns
     -------
     Picture
-        Above, the whole record with the first estimator of the table; below, the cycles around
-        the border to the held-out rows with all of them.
+        Above, the whole record with the first of these estimators; below, the cycles around the
+        border to the held-out rows with all of them.
     """
-    rows, source = comparison.rows, comparison.records[record].source
+    ordered = [comparison.result(row.estimator) for row in comparison.table]
+    results = [result for result in ordered if result.rows.kind == kind]
+    first, rows, source = results[0], results[0].rows, comparison.records[record].source
     own = rows.record == record
-    first = comparison.result(comparison.table[0].estimator)
     symbol = coefficient_symbol(rows.target)
     figure = new_figure(height_in=6.6)
     upper, lower = figure.subplots(2, 1)
     start_s, end_s = _border(rows.time_s[own], ~rows.train[own])
     around = own & (rows.time_s >= start_s) & (rows.time_s <= end_s)
     _run_panel(upper, comparison, own, (first,))
-    _run_panel(lower, comparison, around, comparison.results)
+    _run_panel(lower, comparison, around, results)
     for ax in (upper, lower):
         ax.set_ylabel(f"{symbol} [-]")
     lower.set_xlabel("facility clock [s]")
     legend_above(figure, lower)
     time_s, measured = rows.time_s[own], rows.measured[own]
-    errors = ", ".join(f"{r.label} {_rms(measured - r.trained[own])}" for r in comparison.results)
+    errors = ", ".join(f"{r.label} {_rms(measured - r.trained[own])}" for r in results)
     return Picture.of(
-        f"Reconstructed {NAMES[rows.target]}, {source}",
+        f"Reconstructed {NAMES[rows.target]}, {kind} rows of {source}",
         figure,
         f"Measured {SYMBOLS[rows.target]} of {source} from {time_s[0]:.2f} to {time_s[-1]:.2f} s "
         "and its free runs by fits to the rows not held out. rms of the error: "
         f"{errors}.",
-        f"As Fig 27 of the paper. Above: {first.label}; below: all estimators around the border to "
-        "the held-out cycles. A free run knows the measured flow, and of the measured coefficient "
-        "only the first row of each segment. Shaded cycles were held out: the lines drawn are of a "
-        "fit to the other cycles alone.",
+        f"As Fig 27 of the paper. Above: {first.label}; below: all that were fitted to {kind} "
+        "rows, around the border to the held-out cycles. A free run knows the measured flow, and "
+        "of the measured coefficient only the first row of each segment. Shaded cycles were held "
+        "out: the lines drawn are of a fit to the other cycles alone.",
     )
 
 
@@ -161,18 +164,22 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
     Returns
     -------
     Picture
-        Above, the whole record with the model of the least error; below, the cycles in its middle
-        with all of them, rows shaded whose φ lies outside the range where it dwelt in the fit.
+        Above, the whole record with the first model; below, the cycles in its middle with all of
+        them and the first one's band, rows shaded whose φ lies outside the range where it dwelt in
+        the fit.
     """
-    best = min(runs, key=lambda run: run.score.rms)
-    rows, source = best.rows, best.record.source
-    symbol, styles = SYMBOLS[rows.target], estimator_styles(run.model.estimator for run in runs)
+    best = runs[0]
+    rows = best.rows
+    styles = estimator_styles(run.model.estimator for run in runs)
     time_s = rows.time_s
     figure = new_figure(height_in=6.6)
     upper, lower = figure.subplots(2, 1)
-    low, high = best.model.valid_phi
-    outside = (rows.phi < low) | (rows.phi > high)
-    shade(dress(lower), time_s, outside, r"$\varphi$ beyond where it dwelt in the fit")
+    shade(dress(lower), time_s, best.beyond, r"$\varphi$ beyond where it dwelt in the fit")
+    colour, band = styles[best.model.estimator].colour, best.band
+    for number, run in enumerate(rows.runs if np.all(np.isfinite(band)) else ()):
+        ends = (best.reconstructed - band)[run], (best.reconstructed + band)[run]
+        label = "its 95 % band" if number == 0 else None
+        lower.fill_between(time_s[run], *ends, color=colour, alpha=0.25, lw=0, label=label)
     signals = [(run.model.estimator, run.reconstructed) for run in runs]
     first_only = [(best.model.estimator, best.reconstructed)]
     for ax, shown in ((dress(upper), first_only), (lower, signals)):
@@ -188,13 +195,16 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
         f"{estimator_label(run.model.estimator)} {significant(run.score.rms, 2)}" for run in runs
     )
     return Picture.of(
-        f"Validation on {source}: {symbol}",
+        f"Validation: {best.title}, {rows.kind} rows",
         figure,
-        f"Measured {symbol} of {source} and free runs of models fitted elsewhere; rms {scores}. "
-        f"In {100.0 * best.outside:.0f} % of the rows φ lies beyond where it dwelt in the fit.",
-        "Nothing was fitted to this record. Above the model with the least error over the whole "
-        "record, below all models in its middle. Shaded: φ beyond where it dwelt in the fit (5th "
-        "to 95th percentile), where the reconstruction rests on extrapolated curves.",
+        f"Measured {best.title}, {rows.kind} rows, and free runs of saved models; rms "
+        f"{scores}. In {100.0 * best.outside:.0f} % of the rows φ lies beyond where it "
+        "dwelt in the fit.",
+        f"Nothing was refitted. Above {estimator_label(best.model.estimator)} over "
+        "the whole record, below all models of such rows in its middle, with the pointwise 95 % "
+        "band of the first by the covariance of its τ and coefficients: it says where the free run "
+        "lies, not how far the measurement scatters. Shaded: φ beyond where it dwelt in the fit "
+        "(5th to 95th percentile), where the reconstruction rests on extrapolated curves.",
     )
 
 
@@ -274,7 +284,7 @@ def _border(time_s: FloatArray, held_out: BoolArray) -> tuple[float, float]:
 def _run_panel(
     ax: Axes, comparison: Comparison, keep: BoolArray, results: Sequence[EstimatorResult]
 ) -> None:
-    rows = comparison.rows
+    rows = results[0].rows
     time_s = rows.time_s[keep]
     shade(dress(ax), time_s, ~rows.train[keep], "held-out cycles")
     signals = [(result.name, result.trained[keep]) for result in results]

@@ -35,13 +35,16 @@ def errors_in_time(comparison: Comparison) -> Picture:
     rows, results = comparison.rows, comparison.results
     # Records of one test keep their order on the clock; others may overlap, so rows are counted.
     by_clock = bool(np.all(np.diff(rows.time_s) > 0.0))
-    counted = rows.sample_period_s * np.arange(rows.phi.size, dtype=np.float64)
-    axis: FloatArray = rows.time_s if by_clock else counted
+    axes: dict[str, FloatArray] = {}
+    for each in (result.rows for result in results):
+        counted = rows.sample_period_s * np.arange(each.phi.size, dtype=np.float64)
+        axes[each.kind] = each.time_s if by_clock else counted
     styles = estimator_styles(result.name for result in results)
     figure = new_figure(height_in=1.1 + 1.35 * len(results))
     panels = np.atleast_1d(np.asarray(figure.subplots(len(results), 1, sharex=True, sharey=True)))
     errors, shown = [], []
     for ax, result in zip(panels, results, strict=True):
+        rows, axis = result.rows, axes[result.rows.kind]
         error = rows.measured - result.reconstruction
         errors.append(error)
         shade(dress(ax), axis, ~rows.train, "held-out cycles")
@@ -50,7 +53,8 @@ def errors_in_time(comparison: Comparison) -> Picture:
         ax.plot(*broken(axis, error, rows.runs), color=colour, lw=0.9, label=label)
         shown.append(f"{result.label} {significant(result.free_run.rms, 2)}")
     panels[0].set_ylim(*robust_limits(*errors, margin=0.1))
-    panels[0].set_xlim(float(axis[0]), float(axis[-1]))
+    ends = [axis[[0, -1]] for axis in axes.values()]
+    panels[0].set_xlim(float(np.min(ends)), float(np.max(ends)))
     panels[-1].set_xlabel("facility clock [s]" if by_clock else "fitted rows in a row [s]")
     symbol = coefficient_symbol(rows.target)
     words = f"free-run error of {symbol}: measured - reconstructed [-]"

@@ -20,7 +20,7 @@ from comparisons.show.report_tables import (
     checks_table,
     ledger_tables,
     summary_table,
-    validation_table,
+    validation_tables,
 )
 from comparisons.show.report_words import (
     cautions_list,
@@ -171,6 +171,7 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
     )
     settings = (*map(summary_list, fits), *(block for fit in fits for block in _equations(fit)))
     parts = (
+        Part("Reconstruction validation", _validation(section)),
         Part("Evidence", evidence),
         *section.extra,
         Part("Checks", tuple(map(checks_table, fits))),
@@ -207,15 +208,17 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for fit, _ in section.fits:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
-        blocks += [plots_fit.reconstruction(fit, i) for i in drawn[:RECORDS_DRAWN]]
-    blocks += _left_out(section)
+        kinds = dict.fromkeys(fit.result(row.estimator).rows.kind for row in fit.table)
+        pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
+        blocks += [plots_fit.reconstruction(fit, i, kind) for kind, i in pairs]
+    return (*blocks, *_left_out(section))
+
+
+def _validation(section: ReportSection) -> tuple[Block, ...]:
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
     for run in section.validation:
-        groups.setdefault((run.record.source, run.model.target), []).append(run)
-    blocks += map(plots_fit.validation, groups.values())
-    if groups:
-        blocks.append(validation_table(section.validation))
-    return tuple(blocks)
+        groups.setdefault((run.title, run.rows.kind), []).append(run)
+    return (*validation_tables(section.validation), *map(plots_fit.validation, groups.values()))
 
 
 def _trial(section: ReportSection) -> tuple[Block, ...]:

@@ -14,7 +14,7 @@ from comparisons.results import (
     Comparison,
     Reconstruction,
     estimator_label,
-    reconstruction_grid,
+    reconstruction_grids,
 )
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import significant
@@ -23,7 +23,7 @@ __all__ = [
     "checks_table",
     "ledger_tables",
     "summary_table",
-    "validation_table",
+    "validation_tables",
 ]
 
 # Columns of a ledger that hold sentences.
@@ -75,18 +75,21 @@ def _check_cell(check: CheckRow | None) -> str | Cell:
     return Cell("passed" if check.passed else "failed", small)
 
 
-def validation_table(runs: Sequence[Reconstruction]) -> Table:
-    """Return the scores of models that were fitted elsewhere.
+def validation_tables(runs: Sequence[Reconstruction]) -> tuple[Table, ...]:
+    """Return the scores of models that were fitted elsewhere, a table for each record.
 
     Parameters
     ----------
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    caption = "Validation: models fitted elsewhere, nothing refitted"
-    table = Table.of(reconstruction_grid(runs), caption=caption, meanings=RECONSTRUCTION_COLUMNS)
-    names = (run.model.estimator for run in runs)
-    return _with_names(table, ((estimator_label(name), name) for name in names))
+    tables, meanings = [], RECONSTRUCTION_COLUMNS
+    for grid in reconstruction_grids(runs):
+        caption = f"{grid.title}; nothing refitted"
+        table = Table.of(grid, caption=caption, meanings=meanings, zero="least")
+        own = [run.model.estimator for run in runs if run.title == grid.title]
+        tables.append(_with_names(table, ((estimator_label(name), name) for name in own)))
+    return tuple(tables)
 
 
 def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, ...]:

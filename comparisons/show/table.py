@@ -10,7 +10,7 @@ from comparisons.results import (
     Comparison,
     Reconstruction,
     estimator_label,
-    reconstruction_grid,
+    reconstruction_grids,
     texts_of,
 )
 from surge_core.display import Grid
@@ -51,21 +51,22 @@ def comparison_table(comparison: Comparison) -> str:
 
 
 def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
-    """Return reconstructions of other records as an aligned table for a terminal.
+    """Return reconstructions of other records as aligned tables for a terminal.
 
     Parameters
     ----------
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    lines = _ruled(reconstruction_grid(runs))
+    lines = [
+        line for grid in reconstruction_grids(runs) for line in (grid.title, *_ruled(grid), "")
+    ]
     names = dict.fromkeys(run.model.estimator for run in runs)
     called = [
         f"{name} ({estimator_label(name)})" for name in names if estimator_label(name) != name
     ]
-    # A column of names would not fit beside a long path.
     legend = _wrapped(f"names of the models: {'; '.join(called)}", "", "   ") if called else []
-    return "\n".join([*lines, *([""] if legend else []), *legend])
+    return "\n".join([*lines[: None if legend else -1], *legend])
 
 
 def _ruled(grid: Grid) -> list[str]:

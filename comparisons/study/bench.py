@@ -31,7 +31,7 @@ __all__ = ["BenchRow", "Ranks", "bench_rows", "bench_spec", "draw_ranks", "ranks
 WITHIN_S, WITHIN_SHARE, GROSS_SHARE, CURVE_WITHIN = 2e-3, 0.10, 0.30, 0.15
 LEVEL = 0.05
 BUILT_IN = ("classic_ml", "sindy", "paper")
-SCORES = ["tau_error_ms", "tau_covered", "curve_rms_error"]
+SCORES = ["tau_error_ms", "tau_covered", "curve_rms_error", "false_names"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,9 @@ class BenchRow:
         an interval that misses, or none.
     curves, curves_within : int
         Curves that are stated where the truth is known, and those within 0.15.
+    named, false_names : int
+        Records with a firm name of a missing effect, and those where one of them is not there;
+        zero for a method that names none.
     crashes : int
         Records on which it failed without a sentence.
     median_error_ms, seconds : float
@@ -63,6 +66,8 @@ class BenchRow:
     gross: int
     curves: int
     curves_within: int
+    named: int
+    false_names: int
     crashes: int
     median_error_ms: float
     seconds: float
@@ -92,7 +97,11 @@ class Ranks:
 
 
 def bench_spec(
-    machines: int, seed: int, methods: Sequence[str] = (), rigs: Sequence[str] = ()
+    machines: int,
+    seed: int,
+    methods: Sequence[str] = (),
+    rigs: Sequence[str] = (),
+    naming: str | None = None,
 ) -> StudySpec:
     """Return the study that a bench is.
 
@@ -106,6 +115,9 @@ def bench_spec(
         Beside those built in: names of built-in peers, or ``module:Class``.
     rigs : sequence of str
         Rigs; all that are installed without them.
+    naming : str, optional
+        ``module:Class`` with ``firm_names``, which names effects in place of a fit; it is called
+        "diagnose".
 
     Raises
     ------
@@ -121,6 +133,8 @@ def bench_spec(
     own = [{"name": name} for name in BUILT_IN]
     paths = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)} | PEERS
     own += [{"name": method_name(text), "class": paths.get(text, text)} for text in methods]
+    if naming is not None:
+        own.append({"name": "diagnose", "class": naming})
     return spec_from(
         {
             "schema": "sindy-surge/study/1",
@@ -162,6 +176,8 @@ def _row(name: str, part: pd.DataFrame) -> BenchRow:
         int(np.count_nonzero(stated & ~held & (size > GROSS_SHARE * true))),
         int(np.count_nonzero(np.isfinite(curve))),
         int(np.count_nonzero(curve <= CURVE_WITHIN)),
+        int(np.count_nonzero(part["firm_names"] > 0.0)),
+        int(np.count_nonzero(part["false_names"] > 0.0)),
         int(np.count_nonzero(sentence)),
         float(np.median(1e3 * size[stated])) if stated.any() else math.nan,
         float(part["seconds"].median()),
@@ -176,7 +192,10 @@ def ranks_of(table: pd.DataFrame) -> Ranks:
     table : DataFrame
         Of the study, one row a cell.
     """
-    wide = table.pivot_table(
+    # A method that names effects states no τ.
+    namers = table.loc[table["firm_names"].notna(), "method"].unique()
+    fitted = table[~table["method"].isin(namers)]
+    wide = fitted.pivot_table(
         index="record", columns="method", values="tau_error_ms", dropna=False, sort=False
     )
     errors = wide.abs().fillna(np.inf).to_numpy()

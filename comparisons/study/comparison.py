@@ -329,6 +329,9 @@ def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
     values = values.where((table["state"] != FAILED) & np.isfinite(values))
     # The varied axes are the columns with a dot in their names.
     axes = [str(name) for name in table.columns if "." in str(name)]
+    # Errors on filtered rows and on unfiltered ones are no pair.
+    if score.name.startswith(("free_run", "one_step", "held_out")) and "scored" in table.columns:
+        axes.append("scored")
     shared = table.groupby(["record", "reduction", *axes], dropna=False).ngroup()
     # Records that were drawn together (one seed at several settings) are not independent.
     draw = table["draw" if "draw" in table.columns else "record"]
@@ -436,6 +439,8 @@ def _doubts(part: pd.DataFrame, pair: Paired) -> list[str]:
     ran, lost = len(part), int(part["_value"].isna().sum())
     bad = int((~part["state"].isin([FAILED, *ENDED_WELL])).sum())
     doubts = []
+    if lost < ran and not pair.n_pairs:
+        doubts.append("scored on other rows than the reference")
     if lost:
         doubts.append(f"no score on {lost} of its {ran} cells: survivors only")
     if pair.n_records < FEWEST_RECORDS:

@@ -2,8 +2,8 @@
 
 A rig is a function of a seed and a folder, which leaves ``raw.csv`` and ``test.toml`` there and the
 truth in ``truth/truth.toml``: ``tau_s`` and, where it is known, the curve as ``beta`` (powers of φ)
-or as ``quasi_steady`` with ``phi`` and ``psi_p``. Rigs of other packages come by entry points of
-the group ``sindy_surge.rigs``.
+or as ``quasi_steady`` with ``phi`` and ``psi_p``; ``effects``, a list, names what else the machine
+has. Rigs of other packages come by entry points of the group ``sindy_surge.rigs``.
 """
 
 from __future__ import annotations

@@ -224,6 +224,7 @@ def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
             **{name: dict(cell.point.settings)[name] for name in spec.axes},
             "state": found["state"],
             "reason": found["reason"],
+            "scored": found.get("scored", ""),
             **{name: float(found.get(name, np.nan)) for name in (*NUMBERS, "seconds")},
         }
         for cell, found in cells

@@ -58,11 +58,12 @@ SCORES: Mapping[str, Score] = MappingProxyType(
             Score("held_out_rms", "rms error on rows held out", "", "smaller"),
             Score("held_out_percent", "fit on rows held out", "%", "larger"),
             Score("n_terms", "terms of the characteristic", "", "smaller"),
+            Score("false_names", "firm names of effects that are not there", "", "smaller"),
         )
     }
 )
 # Numbers of a fit in the table: what is better or worse, and what is not.
-NUMBERS = ("tau_ms", "tau_stderr_ms", *SCORES)
+NUMBERS = ("tau_ms", "tau_stderr_ms", "firm_names", *SCORES)
 
 
 def score_named(score: Score | str) -> Score:

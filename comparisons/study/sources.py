@@ -48,6 +48,8 @@ class Made:
         True characteristic in powers of φ; empty where it is not known so.
     curve : tuple of two tuples of float
         True characteristic as φ and ψ'; empty where it is not known so.
+    effects : frozenset of str
+        Effects beyond lag and parabola that the machine truly has: no false name.
     """
 
     series: tuple[CoefficientSeries, ...]
@@ -55,6 +57,7 @@ class Made:
     tau_s: float
     beta: tuple[float, ...]
     curve: tuple[tuple[float, ...], ...] = ()
+    effects: frozenset[str] = frozenset()
 
     def true_curve(self, phi: FloatArray) -> FloatArray | None:
         """Return the true characteristic at φ, of shape (n,); None where it is not known."""
@@ -177,7 +180,12 @@ def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
     curve = (tuple(table["phi"]), tuple(table["psi_p"])) if table else ()
     # What is hidden may bend the curve.
     beta = () if "hidden" in truth else tuple(truth.get("beta", ()))
-    return Made((), raw, float(truth["tau_s"]), beta, curve)
+    # What is no parabola has a shape, and a loss in reversed flow is an effect of its own.
+    bent = ("characteristic_shape",) if curve or len(truth.get("beta", ())) > 3 else ()
+    lossy = ("reverse_flow_branch",) if truth.get("reverse_loss") else ()
+    hidden = (truth["hidden"]["effect"],) if "hidden" in truth else ()
+    effects = frozenset((*truth.get("effects", ()), *hidden, *bent, *lossy))
+    return Made((), raw, float(truth["tau_s"]), beta, curve, effects)
 
 
 def _files(_: int, given: Mapping[str, Scalar]) -> Made:

@@ -44,7 +44,7 @@ def read(folder: Path, tables: dict[str, Any]) -> TestDescription:
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        ("test", ..., "test: expected a table, found nothing"),
+        ("test", ..., "test: expected a table with name, sample_rate_hz, .*, found nothing"),
         ("test/sample_rate_hz", "1000", "test.sample_rate_hz: expected a number above 0"),
         ("compressor/gamma", 1.0, "compressor.gamma: .* between 1 and 2, found 1.0"),
         ("compressor/mean_radius_m", 280.0, "mean_radius_m: .* found 280.0; is it in mm"),
@@ -53,11 +53,15 @@ def read(folder: Path, tables: dict[str, Any]) -> TestDescription:
         ("near_stall/P25_Pa", "7.98 psi", "near_stall.P25_Pa: .*absolute pressure"),
         ("near_stall/to_s", 0.0, "near_stall.to_s: expected more than from_s"),
         ("adc/bits", 12.0, "adc.bits: expected a whole number from 4 to 32, found 12.0"),
-        ("adc", ..., "adc: expected a table, since P25_A_tip_forward is in counts"),
+        ("adc", ..., "adc.bits: .* 4 to 32, found nothing; adc.low_V, adc.high_V: .*voltage"),
         (f"{CHANNEL}/calibrate_count", 2048.0, "at least 100 counts from zero_count"),
         (f"{CHANNEL}/calibrate_pressure_Pa", 6.0, "calibrate_pressure_Pa: .*is it in kPa"),
         (f"{CHANNEL}/unit", "psia", f'{PROBE}.unit: expected "count" beside zoc.* found "psia"'),
-        (f"{CHANNEL}/unit", "volts", f'{PROBE}.unit: expected "count" beside .* found "volts"'),
+        (
+            f"{CHANNEL}/unit",
+            "volts",
+            f'{PROBE}.unit: expected "count" or a unit of pressure, .*psi.* found "volts"',
+        ),
         (f"{CHANNEL}/reference_Pa", 1e5, f"{PROBE}.reference_Pa: expected none beside"),
         ("channels/T31_A/unit", "psi", "channels.T31_A.unit: expected a unit of temperature"),
         (f"{CHANNEL}/kind", "flow", f'{PROBE}.kind: expected "pressure" or "temperature"'),
@@ -116,6 +120,25 @@ def test_all_that_is_missing_or_wrong_is_said_at_once(made: RawTest, tmp_path: P
         "channels.T25_A.recovery_factor",
     ):
         assert key in str(caught.value)
+    # What is missing has no unit that could be wrong.
+    assert "found nothing (" not in str(caught.value)
+
+
+def test_channels_that_do_not_go_together_are_named_at_once(made: RawTest, tmp_path: Path) -> None:
+    tables = edited(made.description, f"{CHANNEL}/facing", "forward")
+    tables = edited(tables, "limits", {"T99": [1.0, 2.0]})
+    with pytest.raises(InputError, match=r"limits\.T99: .*; channels: .*one forward and one aft"):
+        read(tmp_path, tables)
+
+
+def test_one_mistake_in_many_channels_is_said_once(made: RawTest, tmp_path: Path) -> None:
+    tables, names = made.description, list(made.description["channels"])[:10]
+    for name in names:
+        tables = edited(tables, f"channels/{name}/rake", ...)
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, tables)
+    places = ", ".join(f"channels.{name}.rake" for name in names[:8])
+    assert f"{places} and 2 more: expected the name of a rake" in str(caught.value)
 
 
 @pytest.mark.parametrize("content", [b"", b"[test", b"\xff\xfe\x00"])

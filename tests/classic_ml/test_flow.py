@@ -136,3 +136,13 @@ def test_a_plane_without_a_thermocouple() -> None:
     _, plane = averages(drop=("T31_A", "T31_B"))
     assert "W31_kg_s" not in plane
     assert "Wc31_kg_s" in plane
+
+
+def test_the_law_of_the_probes_with_a_ramp_has_no_jump_and_is_eq_2_above_it() -> None:
+    low, high = np.linspace(-0.03, 0.03, 61), np.array([-0.4, 0.031, 0.2])
+    plain, ramped = (true_mach(low, 1.1, 0.012, ramp) for ramp in (0.0, 0.03))
+    assert np.max(np.abs(np.diff(plain))) > 0.012
+    np.testing.assert_allclose(ramped, (1.1 + 0.012 / 0.03) * low, atol=1e-15)
+    np.testing.assert_allclose(
+        true_mach(high, 1.1, 0.012, 0.03), true_mach(high, 1.1, 0.012), rtol=1e-12
+    )

@@ -88,7 +88,12 @@ def test_simulate_reduce_compare_save_reconstruct(raw: Path, tmp_path: Path) -> 
     assert run(*again, "-o", out, "--json", scores, "--report", tmp_path / "v.html") == 0
     table = pd.read_csv(out)
     error = table["psi_p"] - table["psi_p_reconstructed"]
-    score = json.loads(scores.read_text("utf-8"))["reconstructions"][0]["free_run"]
+    other = json.loads(scores.read_text("utf-8"))["reconstructions"][0]
+    assert other["fitted_to_it"] is False
+    assert run("reconstruct", model, files[0], "--json", tmp_path / "own.json") == 0
+    own = json.loads((tmp_path / "own.json").read_text("utf-8"))["reconstructions"]
+    assert all(each["fitted_to_it"] for each in own)
+    score = other["free_run"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(score["rms"], rel=1e-9)
     assert score["r2"] > 0.8
 

@@ -14,7 +14,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators, psi_breakpoints
 from comparisons.harness.fit_quality import dwelt_on, score_fit
-from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.harness.reconstruction import reconstruct_record, validate_models
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
 from comparisons.show.json_output import comparison_document
@@ -171,10 +171,29 @@ def test_reconstruction_of_another_record() -> None:
     assert result.score.rms == pytest.approx(0.003, rel=0.2)
     assert 0.0 <= result.outside < 0.5
     lines = result.to_csv().splitlines()
-    assert lines[0] == "time_s,segment,phi,psi_p,psi_p_reconstructed"
+    names = "psi_p_reconstructed,psi_p_low,psi_p_high,outside_valid_phi"
+    assert lines[0] == f"time_s,segment,phi,psi_p,{names}"
     assert len(lines) == result.rows.phi.size + 1
+    marked = sum(line.endswith(",1") for line in lines)
+    assert marked == np.count_nonzero(result.beyond) == result.to_json()["rows_outside_valid_phi"]
+    # The free run is known far better than one row is measured; rows scatter as in the fit.
+    assert result.inside(result.band) < 0.7
+    assert result.inside(result.wide_band) == pytest.approx(0.95, abs=0.03)
     wrong = FittedLag(**{**model.__dict__, "time_constant_s": 0.243})
-    assert reconstruct_record(wrong, series(12)).score.rms > 5 * result.score.rms
+    far = reconstruct_record(wrong, series(12))
+    assert far.score.rms > 5 * result.score.rms
+    assert far.inside(far.wide_band) < 0.5
+
+
+def test_models_on_the_same_rows_are_compared_in_pairs() -> None:
+    model = compare_records([series(11)], estimators=CLASSICAL).result("classic_ml").model
+    slow = FittedLag(**{**model.__dict__, "estimator": "slow", "time_constant_s": 0.03})
+    good, bad = validate_models([model, slow], [series(12)])
+    assert (good.difference, good.paired_error) == (0.0, 0.0)
+    assert bad.difference == pytest.approx(bad.score.rms - good.score.rms)
+    assert bad.difference > 3.0 * bad.paired_error > 0.0
+    assert bad.p_value < 0.01
+    assert [run.model.estimator for run in validate_models([slow], [series(12)])] == ["slow"]
 
 
 def test_breakpoints_of_fig_22_are_found_near_the_truth() -> None:

@@ -13,7 +13,7 @@ from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
 from comparisons.harness.saved_models import load_models, save_models
-from comparisons.results import FittedLag
+from comparisons.results import FitRows, FittedLag
 from surge_core.errors import InputError
 
 
@@ -24,6 +24,12 @@ def fitted(hold: str = "first") -> tuple[LagRegressor, FittedLag, np.ndarray, np
     m = LagRegressor(PERIOD_S, hold=hold).fit(phi[:, None], y)
     grid = np.linspace(0.0, 0.6, 50)
     return m, FittedLag.from_estimator(m, "classic_ml", "psi_p", hold, grid, (0.1, 0.5)), phi, y
+
+
+def rows_of(phi: np.ndarray, y: np.ndarray, labels: np.ndarray) -> FitRows:
+    n = phi.size
+    clock, record = PERIOD_S * np.arange(n), np.zeros(n, dtype=np.int64)
+    return FitRows(phi, y, clock, labels, record, PERIOD_S, "psi_p", np.ones(n, dtype=np.bool_))
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
@@ -38,7 +44,7 @@ def test_free_run_and_one_step_are_the_estimators_own(hold: str) -> None:
         m.predict(phi[:, None], labels, start=y),
         atol=1e-12,
     )
-    step = value.one_step(phi, y, PERIOD_S, labels)
+    step = value.one_step_over(rows_of(phi, y, labels))
     a = math.exp(-PERIOD_S / value.time_constant_s)
     residual = y - step
     assert residual[0] == residual[1000] == 0.0
@@ -65,6 +71,29 @@ def test_saved_models_come_back_bit_for_bit(tmp_path: Path) -> None:
     low, high = value.ci95_s
     assert 0.0 < low < value.time_constant_s < high
     assert low < TAU_S < high
+
+
+def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
+    rng = np.random.default_rng(20)
+    phi = flow(600, rng)
+    truth = lagged(phi, "first")
+    rows = rows_of(phi, truth, np.ones(600, dtype=np.int64))
+    runs, stderr, inside = [], [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        seen = flow(1500, rng)
+        y = lagged(seen, "first") + 0.01 * rng.standard_normal(1500)
+        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(seen[:, None], y)
+        value = FittedLag.from_estimator(m, "x", "psi_p", "first", seen[:30], (0.1, 0.5))
+        runs.append(value.free_run_over(rows, [])[100:])
+        stderr.append(value.free_run_stderr(rows)[100:])
+        inside.append(np.mean(np.abs(runs[-1] - truth[100:]) <= value.quantile * stderr[-1]))
+    scatter = np.sqrt(np.mean(np.var(runs, axis=0, ddof=1)))
+    assert np.sqrt(np.mean(np.square(stderr))) == pytest.approx(scatter, rel=0.25)
+    assert 0.85 < np.mean(inside) <= 1.0
+    assert value.free_run_stderr(rows)[0] == 0.0  # the start is measured
+    unknown = FittedLag(**{**value.__dict__, "covariance": ()})
+    assert np.isnan(unknown.free_run_stderr(rows)).all()
 
 
 def test_terms_without_a_known_name_run_from_the_table() -> None:

@@ -16,6 +16,7 @@ from classic_ml import LagRegressor
 from comparisons.cli import main
 from comparisons.harness.methods import PEERS, method_spec
 from comparisons.harness.peers import PlainPysindy, PredictionError
+from sindy_surge import SparseLagRegressor
 
 
 @pytest.fixture
@@ -75,6 +76,24 @@ def test_what_a_method_offers_is_shown_and_what_it_lacks_is_null(series: Path) -
     assert own["time_constant_s"]["value"] == pytest.approx(TAU_S, rel=0.05)
     assert own["fit"]["free_run"]["rms"] < 0.5 * curve["fit"]["free_run"]["rms"]
     assert [term["name"] for term in own["terms"]] == ["1", "phi", "phi^2"]
+
+
+class Barred(SparseLagRegressor):
+    """A sparse regression with a constraint that the series speaks against."""
+
+    def __init__(self, sample_period_s: float = PERIOD_S) -> None:
+        wrong = {"phi^2": "positive"}
+        super().__init__(sample_period_s, psi_terms=False, n_bootstrap=0, constraints=wrong)
+
+
+def test_a_constraint_that_binds_stands_below_the_table_and_in_the_json(
+    series: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compared(series, f"{__name__}:Barred")
+    words = "Barred: binding: φ² is positive by constraint; the data ask for -1."
+    assert words in " ".join(capsys.readouterr().out.split())
+    document = json.loads(series.with_name("compare.json").read_text("utf-8"))
+    assert any(caution.startswith(words) for caution in document["cautions"])
 
 
 def test_the_peers_follow_a_lag_that_is_there(series: Path) -> None:

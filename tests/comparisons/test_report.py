@@ -181,7 +181,8 @@ def test_a_reduction_or_a_validation_alone_is_a_report_too(reduction: Reduction)
     ]
     html = render_report(sections, title="x", command="x")
     assert len(Page(html).all("img")) == 3
-    assert "Validation on v.csv" in html
+    assert "Reconstruction validation" in html
+    assert "of v.csv" in html
 
 
 def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:

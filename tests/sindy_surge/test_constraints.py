@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from sindy_surge import InputError, SparseLagRegressor
+from sindy_surge.binding import binding_constraints
 from sindy_surge.constraints import constraints_of
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.sparse_paths import beam_search, proposals
+from sindy_surge.state_terms import PhysicalForm
 
 NAMES = ("1", "phi", "phi^2", "phi^3")
 
@@ -38,6 +40,24 @@ def test_required_forbidden_and_signed_terms(surge: Callable[..., Any]) -> None:
     right = _fit(record, constraints={"phi^2": "negative", "phi": "positive"})
     assert right.terms_ == free.terms_
     np.testing.assert_array_equal(right.coef_, free.coef_)
+    # What the data agree with does not bind; what they do not is said, with its size.
+    assert right.binding_ == asked.binding_ == ()
+    for model, word in ((signed, "positive"), (barred, "forbidden")):
+        (binding,) = model.binding_
+        assert (binding.term, binding.constraint) == ("phi^2", word)
+        assert binding.coefficient == pytest.approx(free.coef_[free.terms_.index("phi^2")])
+        assert binding.coefficient < -10.0 * binding.stderr
+        assert binding.text in model.cautions_
+        assert binding.text in " ".join(str(model.summary().sheet().text()).split())
+
+
+def test_a_constraint_binds_beyond_its_standard_error_alone() -> None:
+    """At the limit: one-sided for a sign, two-sided for a term that is forbidden."""
+    words = {"positive": (-1.7, -1.6), "negative": (1.7, 1.6), "forbidden": (-2.0, 1.9)}
+    for word, (beyond, within) in words.items():
+        for value, n in ((beyond, 1), (within, 0), (-within, 0)):
+            form = PhysicalForm(("1", "phi"), np.array([5.0, value]), 0.018, np.eye(3))
+            assert len(binding_constraints(form, {"phi": f"required {word}"})) == n
 
 
 def test_positions_follow_the_usable_terms() -> None:

@@ -18,7 +18,6 @@ from comparisons.results import (
     FitScore,
     FittedLag,
 )
-from surge_core.paired import block_errors
 
 LOW_PASS = LedgerEntry(
     "filter",
@@ -100,16 +99,12 @@ def made_comparison(
                 state="converged",
                 advice="",
                 equation=f"({tau_s} s) dψ'/dt + ψ' = 0.3 +1.2 phi -1.5 phi^2",
+                rows=rows,
                 free_run=score_fit(rows.measured, rows.measured + error),
                 one_step=score_fit(rows.measured, rows.measured + error),
                 held_out=FitScore(held_out_rms, 91.0, 0.99, 800) if scored else None,
                 reconstruction=rows.measured + error,
                 trained=rows.measured + error,
-                held_out_blocks=(
-                    block_errors(error[~rows.train], [slice(0, int(np.sum(~rows.train)))])
-                    if scored
-                    else np.zeros((0, 2))
-                ),
                 checks=(CheckRow("whiteness", 0.31, "<", 0.07, rank == 1, "meaning of <i>it</i>"),),
                 seconds=0.1,
             )

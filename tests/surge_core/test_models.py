@@ -54,7 +54,7 @@ def test_what_is_right_becomes_its_model() -> None:
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({}, "f: machine: expected a value, found nothing"),
+    ({}, "f: machine: expected a table with radius_m, gamma, found nothing"),
     (
         {"machine": {"radius_m": 450}},
         "f: machine.radius_m: expected a mean radius of 0.02 to 2 m, found 450; is it in mm?",

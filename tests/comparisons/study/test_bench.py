@@ -20,7 +20,8 @@ def table(errors_ms: dict[str, list[float]], true_ms: float = 20.0) -> pd.DataFr
         {
             "record": f"r{i}", "method": method, "tau_error_ms": error, "tau_ms": true_ms + error,
             "tau_covered": NAN if np.isnan(error) else float(abs(error) < 1.0),
-            "curve_rms_error": 0.1, "seconds": 1.0, "reason": "",
+            "curve_rms_error": 0.1, "seconds": 1.0, "reason": "", "firm_names": NAN,
+            "false_names": NAN,
         }
         for method, errors in errors_ms.items()
         for i, error in enumerate(errors)
@@ -49,6 +50,15 @@ def test_the_critical_difference_is_that_of_demsar() -> None:
     assert sum(ranks.mean) == pytest.approx(10.0)
 
 
+def test_a_namer_is_counted_apart_and_does_not_rank() -> None:
+    names = table({"fit": [1.0, 2.0], "other": [2.0, 1.0], "namer": [NAN, NAN]})
+    names.loc[names["method"] == "namer", ["firm_names", "false_names"]] = [[1.0, 0.0], [2.0, 1.0]]
+    fit, _, namer = bench_rows(names)
+    assert (namer.named, namer.false_names, namer.answers) == (2, 1, 0)
+    assert (fit.named, fit.false_names) == (0, 0)
+    assert set(ranks_of(names).methods) == {"fit", "other"}
+
+
 def test_friedman_holds_its_five_percent() -> None:
     rng = np.random.default_rng(4)
     tests = [
@@ -68,7 +78,12 @@ def test_a_bench_of_the_distributed_rig(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["bench", *given, "--json", str(tmp_path / "b.json")]) == 0
     found = json.loads((tmp_path / "b.json").read_text("utf-8"))
     assert found["schema"] == "sindy-surge/bench/1"
-    assert {row["method"] for row in found["methods"]} == {"classic_ml", "sindy", "paper"}
+    assert {row["method"] for row in found["methods"]} == {
+        "classic_ml",
+        "sindy",
+        "paper",
+        "diagnose",
+    }
     assert all(row["crashes"] == 0 for row in found["methods"])
     assert "critical difference" in capsys.readouterr().out
     assert main(["bench", "--machines", "1", "--rig", "nowhere", "--out", str(tmp_path / "c")]) == 2

@@ -105,6 +105,18 @@ def test_the_jackknife_is_the_textbook_error_where_records_are_single_cells() ->
     assert error == pytest.approx(values.std(ddof=1) / np.sqrt(17))
 
 
+def test_errors_on_other_rows_are_no_pair() -> None:
+    score = "held_out_rms"
+    table = made_study({"a": 0.0, "b": 0.5, "whole": -5.0}, score=score)
+    table["scored"] = np.where(table["method"] == "whole", "unfiltered", "filtered")
+    group = compared(table, score, reference="a")
+    assert group.row("whole").against.n_pairs == 0
+    assert group.row("whole").rank is None
+    assert "other rows" in group.row("whole").trust
+    assert group.best == "a"
+    assert group.row("b").against.difference == pytest.approx(0.5, abs=0.2)
+
+
 def test_ties_share_a_rank() -> None:
     table = made_study({"a": 0.0, "far": 2.0})
     twin = table[table["method"] == "a"].assign(method="twin")
