@@ -8,7 +8,7 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["autoregression", "chosen_order"]
+__all__ = ["autoregression"]
 
 # An autoregression must win this much more than its parameters cost (in log-units of BIC).
 RELUCTANCE = 3.0
@@ -35,19 +35,11 @@ def autoregression(pieces: Sequence[FloatArray], most_lags: int) -> FloatArray:
         target.append(e[at])
     if not lagged:
         return np.zeros(0)
-    return chosen_order(np.concatenate(lagged), np.concatenate(target))
+    return _chosen(np.concatenate(lagged), np.concatenate(target))
 
 
-def chosen_order(lagged: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the coefficients of the order that the criterion chooses.
-
-    Parameters
-    ----------
-    lagged : ndarray of shape (n, most_lags)
-        Errors one, two, … rows before.
-    target : ndarray of shape (n,)
-        Errors.
-    """
+def _chosen(lagged: FloatArray, target: FloatArray) -> FloatArray:
+    """Return the coefficients of the order that the criterion chooses, of rows one, two, … back."""
     n, most_lags = lagged.shape
     if n < ROWS_PER_LAG * most_lags:
         return np.zeros(0)

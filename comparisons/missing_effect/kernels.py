@@ -34,10 +34,18 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @compiled
-def lag_pass(
-    columns: FloatArray, a: float, now: float, before: float, runs: IntArray, every: int
+def varying_lag_pass(
+    columns: FloatArray,
+    a: FloatArray,
+    now: FloatArray,
+    before: FloatArray,
+    runs: IntArray,
+    every: int,
 ) -> FloatArray:
-    """Answer of τ dx/dt + x = u to each column, kept at every so many rows; starts at rest."""
+    """Answer of τ(t) dx/dt + x = u to each column, kept at every so many rows; starts at rest.
+
+    ``a[k]``, ``now[k]`` and ``before[k]`` lead from row k-1 to k.
+    """
     n_kept = 0
     for r in range(runs.shape[0]):
         n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
@@ -54,7 +62,7 @@ def lag_pass(
         left = every
         for k in range(start + 1, stop):
             for j in range(q):
-                state[j] = a * state[j] + now * columns[k, j] + before * columns[k - 1, j]
+                state[j] = a[k] * state[j] + now[k] * columns[k, j] + before[k] * columns[k - 1, j]
             left -= 1
             if left == 0:
                 left = every
@@ -64,47 +72,13 @@ def lag_pass(
     return out
 
 
-@compiled
-def varying_lag_pass(
-    columns: FloatArray, ratio: FloatArray, runs: IntArray, every: int
-) -> tuple[FloatArray, FloatArray]:
-    """Answer of τ(t) dx/dt + x = u; ``ratio[k]`` is step over τ from row k-1 to k.
-
-    The second result is what is left of a start that is off by one.
-    """
-    n_kept = 0
-    for r in range(runs.shape[0]):
-        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
-    q = columns.shape[1]
-    out = np.empty((n_kept, q))
-    decay = np.empty(n_kept)
-    state = np.empty(q)
-    row = 0
-    for r in range(runs.shape[0]):
-        start, stop = runs[r, 0], runs[r, 1]
-        rest = 1.0
-        for j in range(q):
-            state[j] = columns[start, j]
-            out[row, j] = state[j]
-        decay[row] = 1.0
-        row += 1
-        left = every
-        for k in range(start + 1, stop):
-            a = np.exp(-ratio[k])
-            mean = -np.expm1(-ratio[k]) / ratio[k]
-            rest *= a
-            for j in range(q):
-                state[j] = (
-                    a * state[j] + (1.0 - mean) * columns[k, j] + (mean - a) * columns[k - 1, j]
-                )
-            left -= 1
-            if left == 0:
-                left = every
-                decay[row] = rest
-                for j in range(q):
-                    out[row, j] = state[j]
-                row += 1
-    return out, decay
+def lag_pass(
+    columns: FloatArray, a: float, now: float, before: float, runs: IntArray, every: int
+) -> FloatArray:
+    """Answer of τ dx/dt + x = u to each column, kept at every so many rows; starts at rest."""
+    steps = np.broadcast_to([[a], [now], [before]], (3, columns.shape[0]))
+    answer: FloatArray = varying_lag_pass(columns, *np.ascontiguousarray(steps), runs, every)
+    return answer
 
 
 @compiled
@@ -172,21 +146,15 @@ def shifted(signal: FloatArray, steps: float, runs: IntArray) -> FloatArray:
     return out
 
 
-@compiled
 def whiten(columns: FloatArray, ar: FloatArray, weight: FloatArray, runs: IntArray) -> FloatArray:
     """Return w[k] (x[k] - Σ a_i x[k-i]) of each column, zero where a row before is missing."""
-    p, q = ar.size, columns.shape[1]
-    out = np.zeros_like(columns)
-    for r in range(runs.shape[0]):
-        for k in range(runs[r, 0] + p, runs[r, 1]):
-            w = weight[k]
-            if w == 0.0:
-                continue
-            for j in range(q):
-                value = columns[k, j]
-                for i in range(p):
-                    value -= ar[i] * columns[k - 1 - i, j]
-                out[k, j] = w * value
+    out = columns.copy()
+    for back, a in enumerate(ar, 1):
+        out[back:] -= a * columns[:-back]
+    out *= weight[:, None]
+    out[weight == 0.0] = 0.0
+    for start, stop in runs:
+        out[start : min(start + ar.size, stop)] = 0.0
     return out
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.autoregression import chosen_order
+from comparisons.missing_effect.autoregression import autoregression
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import FlowNoise, Metric
 from surge_core.lag import FirstOrderLag
@@ -99,7 +99,7 @@ def noise_of(
     rows = scored & (data.weight > 0.0)
     robust = _scale(errors[rows])
     bounded = np.clip(errors, -HUBER * robust, HUBER * robust)
-    ar = _autoregression(bounded, rows, data)
+    ar = autoregression(_pieces(bounded, rows, data), MOST_LAGS)
     metric = Metric(1.0, ar)
     white = metric.whitened(errors, data)
     valid = rows & (metric.rows(data) > 0.0)
@@ -187,19 +187,11 @@ def _scale(errors: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(errors - np.median(errors)))) if errors.size else 1.0
 
 
-def _autoregression(errors: FloatArray, rows: NDArray[np.bool_], data: LagData) -> FloatArray:
-    """Return the autoregression that BIC chooses, reluctantly, up to four lags."""
-    lagged, target = [], []
+def _pieces(errors: FloatArray, rows: NDArray[np.bool_], data: LagData) -> list[FloatArray]:
+    """Return the errors of rows that follow each other in one run, piece by piece."""
+    pieces = []
     for run in data.slices:
-        e, ok = errors[run], rows[run].copy()
-        if e.size <= MOST_LAGS:
-            continue
-        for back in range(1, MOST_LAGS + 1):
-            ok[back:] &= rows[run][:-back]
-        ok[:MOST_LAGS] = False
-        at = np.flatnonzero(ok)
-        lagged.append(np.column_stack([e[at - back] for back in range(1, MOST_LAGS + 1)]))
-        target.append(e[at])
-    if not lagged:
-        return np.zeros(0)
-    return chosen_order(np.concatenate(lagged), np.concatenate(target))
+        kept = np.flatnonzero(rows[run])
+        parts = np.split(kept, np.flatnonzero(np.diff(kept) != 1) + 1)
+        pieces += [errors[run][part] for part in parts]
+    return pieces

@@ -185,7 +185,10 @@ def _lagged(
             return _underdamped(driven, ports.a2_s2, data, tau_s)
     if ports.tau_factor is not None:
         ratio = data.step_s / (tau_s * ports.tau_factor)
-        return varying_lag_pass(driven, ratio, runs, every)  # type: ignore[no-any-return]
+        a, mean = np.exp(-ratio), -np.expm1(-ratio) / ratio
+        columns = varying_lag_pass(driven, a, 1.0 - mean, mean - a, runs, every)
+        ages = [np.cumsum(np.append(0.0, ratio[start + 1 : stop])) for start, stop in runs]
+        return columns, np.exp(-np.concatenate([age[::every] for age in ages]))
     lag = FirstOrderLag(tau_s, data.step_s, "first")
     columns = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, every)
     return columns, _decay(data, tau_s)
