@@ -88,19 +88,27 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     words = (
         f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
     )
-    quotable = comparison.quotable
+    aside = "".join(
+        f" {other.label[:1].upper()}{other.label[1:]} reads "
+        f"{significant(1e3 * other.model.time_constant_s, 3)} ms and is not quoted: it failed "
+        f"{', '.join(other.failed)}."
+        for other in comparison.results
+        if other.whole_run is not None and other.converged and other.failed
+        if other.name not in comparison.quotable
+    )
     taus = [
         1e3 * result.model.time_constant_s
         for result in comparison.results
-        if result.name not in quotable and math.isfinite(result.model.time_constant_s)
+        if result.whole_run is None and result.converged
+        if math.isfinite(result.model.time_constant_s)
     ]
     if not taus:
-        return f"{words}."
+        return f"{words}.{aside}"
     low, high = (significant(end, 3) for end in (min(taus), max(taus)))
     spread = low if low == high else f"{low} to {high}"
     return (
         f"{words}, while the fits to low-passed rows read {spread} ms, which the low-pass before "
-        "the flow equation biases."
+        f"the flow equation biases.{aside}"
     )
 
 
