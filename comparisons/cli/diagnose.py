@@ -84,6 +84,7 @@ def _check_options(given: argparse.Namespace) -> None:
 
 def _compressor(given: argparse.Namespace) -> list[str]:
     """Diagnose series and return what is printed."""
+    from comparisons.harness.cautions import lacks_ledger
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
     from comparisons.missing_effect.report import diagnosis_report
@@ -95,6 +96,13 @@ def _compressor(given: argparse.Namespace) -> list[str]:
         begin("reading")
         # Each once: the last record is held out whole, and its double would be fitted.
         records = read_records(given.series)
+        for record in filter(lacks_ledger, records):
+            raise InputError(
+                record.source,
+                expected="the ledger that `sindy-surge reduce` wrote beside it",
+                found="unfiltered columns without it",
+                remedy="copy its .ledger.json too, or reduce the record again",
+            )
         terms, base, remarks = _base(given, records, begin)
         begin("trying effects")
         d = diagnose(

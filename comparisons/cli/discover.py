@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMAND"]
 
+TIME = "time_s"
 FUNCTIONS = ("sqrt", "sin", "cos", "abs")
 HIGHEST_DEGREE = 6
 
@@ -43,6 +44,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             "--states", expected="the columns that are states", found="none", remedy="name them"
         )
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
+    if TIME in (*states, *inputs):
+        raise InputError("--states", expected="measured columns", found=f"the clock, {TIME}")
     hidden = _names("--hidden", given.hidden)
     with shown_steps(3) as begin:
         begin("reading")
@@ -115,7 +118,7 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
     from classic_ml.description import FileLayout
     from classic_ml.io.csv import open_csv
 
-    wanted = ("time_s", *columns)
+    wanted = (TIME, *columns)
     with open_csv(path, FileLayout()) as stored:
         if missing := [name for name in wanted if name not in stored.names]:
             raise InputError(

@@ -9,7 +9,8 @@ from pathlib import PurePath
 import numpy as np
 
 from classic_ml.records import counted
-from comparisons.harness.cautions import spread_speeds, unknown_work
+from classic_ml.whole_record_fit import LARGEST_SHARE
+from comparisons.harness.cautions import lacks_ledger, spread_speeds, unknown_work
 from comparisons.harness.fit_quality import dwelt_on
 from comparisons.results import Answer, Comparison, Curve, EstimatorResult
 from surge_core.fit_state import WITHHOLDING
@@ -129,6 +130,11 @@ def _not_believed(comparison: Comparison) -> str:
         why = "the records have different corrected speeds, each with a τ of its own"
     elif withheld:
         why = f"{withheld[0]} was refused, and the others know less"
+    elif not whole and any(map(lacks_ledger, comparison.records)):
+        why = (
+            "the series lies without the ledger that `sindy-surge reduce` wrote beside it, and its "
+            "unfiltered columns cannot be read without; copy both"
+        )
     elif not whole:
         why = (
             "the series carries no unfiltered run, which `sindy-surge reduce` writes, and a "
@@ -147,11 +153,14 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
     """Say which other readings of τ agree with the one to quote, and which do not."""
     agree: list[str] = []
     apart: list[str] = []
+    vague: list[str] = []
     for name, value_s, error_s in readings:
         if math.isfinite(value_s):
             said = f"{name} {round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
             far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
-            (apart if far else agree).append(said)
+            # Nearly anything agrees with a reading that would not be stated by itself.
+            known = error_s <= LARGEST_SHARE * value_s
+            (vague if not known else apart if far else agree).append(said)
     words = []
     if agree:
         words.append(f"It agrees with {', '.join(agree)}.")
@@ -160,6 +169,8 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
             f"It does not agree with {', '.join(apart)}: do not quote these beside it before the "
             "difference is explained."
         )
+    if vague:
+        words.append(f"Known too vaguely to agree or not: {', '.join(vague)}.")
     return " ".join(words)
 
 

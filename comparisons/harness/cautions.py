@@ -17,6 +17,7 @@ from comparisons.results import Caution, EstimatorResult, FitRows
 __all__ = [
     "comparison_cautions",
     "filter_cautions",
+    "lacks_ledger",
     "psi_by_rise",
     "spread_speeds",
     "tau_caution",
@@ -52,6 +53,11 @@ def comparison_cautions(
     for result in results:
         cautions += [Caution.of("estimator", result.name, remark=text) for text in result.remarks]
     return tuple(cautions)
+
+
+def lacks_ledger(record: CoefficientSeries) -> bool:
+    """Whether a series has unfiltered columns, and not the ledger that says how to read them."""
+    return record.phi_unfiltered is not None and not record.history
 
 
 def tau_caution(

@@ -207,8 +207,10 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         found = f"the schema '{document['schema']}'"
     except FileNotFoundError:
         document, found = {}, "no such file"
-    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
-        document, found = {}, f"no JSON of this kind ({error})"
+    except (KeyError, TypeError):
+        document, found = {}, "JSON without a schema"
+    except (OSError, ValueError, RecursionError) as error:
+        document, found = {}, f"no JSON ({error})"
     if not document or document["schema"] != form.schema:
         raise InputError(str(file), expected=expected, found=found)
     kinds = _Document[kind]  # type: ignore[valid-type]

@@ -65,6 +65,29 @@ def test_each_step_has_its_own_document_or_the_sentence_that_refused(
     assert (made[0] / "series.csv").is_file()
 
 
+def test_a_series_without_its_ledger_is_not_diagnosed(
+    made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing says how its unfiltered columns were made: it read 10.7 ms for 20.8."""
+    alone = tmp_path / "alone.csv"
+    alone.write_bytes((made[0] / "series.csv").read_bytes())
+    assert main(["diagnose", str(alone)]) == 2
+    assert ".ledger.json" in capsys.readouterr().err
+    assert main(["compare", str(alone), "--no-twins"]) == 0
+    assert "lies without the ledger" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
+    comparison = made_comparison()
+    name = comparison.table[0].estimator
+    tau_s = comparison.result(name).model.time_constant_s
+    vague, sharp = ("work", 2.0 * tau_s, 0.9 * tau_s), ("structure", tau_s, 0.05 * tau_s)
+    known = dataclasses.replace(comparison, quotable=(name,))
+    said = answer_of(known, readings=(vague, sharp)).others
+    assert "agrees with structure" in said
+    assert "vaguely to agree or not: work" in said
+
+
 def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() -> None:
     comparison = made_comparison()
     answer = answer_of(dataclasses.replace(comparison, quotable=()), test="x")

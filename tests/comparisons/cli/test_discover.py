@@ -81,3 +81,10 @@ def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
     said = capsys.readouterr().err.strip()
     assert named in said
     assert len(said.splitlines()) == 1
+
+
+def test_the_clock_is_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "x.csv"
+    file.write_text("time_s,x\n0.0,1.0\n0.1,2.0\n", "utf-8")
+    assert main(["discover", str(file), "--states", "x,time_s"]) == 2
+    assert "the clock" in capsys.readouterr().err
