@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -71,6 +70,7 @@ def test_one_state_alone_is_not_called_ok(files, capsys):
         (["--states", "x,v"], ("x", 3, "n/a"), "row 4"),
         (["--states", "x,v"], ("time_s", 7, 0.0), "time_s"),
         (["--states", "x,v"], ("x", slice(None), 1.0), "constant"),
+        (["--states", "x,time_s"], None, "the clock"),
     ],
 )
 def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
@@ -82,10 +82,3 @@ def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
     said = capsys.readouterr().err.strip()
     assert named in said
     assert len(said.splitlines()) == 1
-
-
-def test_the_clock_is_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "x.csv"
-    file.write_text("time_s,x\n0.0,1.0\n0.1,2.0\n", "utf-8")
-    assert main(["discover", str(file), "--states", "x,time_s"]) == 2
-    assert "the clock" in capsys.readouterr().err
