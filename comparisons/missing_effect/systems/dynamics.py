@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from comparisons.missing_effect.systems.compiled import call_at
+from comparisons.missing_effect.systems.pointers import kernel
 from comparisons.missing_effect.systems.shapes import map_value, term_value
 from surge_core.types import FloatArray, IntArray
 
@@ -52,7 +53,7 @@ SPILL_SAMPLES = 0.25
 PLAY_SAMPLES = 0.5
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _input_at(at: float, j: int, ints: IntArray, pieces: FloatArray) -> float:
     """Return input j at a time given in samples; held beyond the ends."""
     n = pieces.shape[1]
@@ -69,7 +70,7 @@ def _input_at(at: float, j: int, ints: IntArray, pieces: FloatArray) -> float:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inputs(t: float, X: FloatArray, system: System, u: FloatArray, dX: FloatArray) -> None:
     """Fill u with the inputs as the system sees them, and dX with what their own states do."""
     theta, ints, floats, pieces, clock = system
@@ -99,7 +100,7 @@ def _inputs(t: float, X: FloatArray, system: System, u: FloatArray, dX: FloatArr
             u[j] = X[own]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _parameters(t: float, system: System, p: FloatArray) -> None:
     """Fill p with the model's parameters, drifting ones at the clock."""
     theta, ints, floats, _, clock = system
@@ -120,7 +121,7 @@ def scratch_for(ints: IntArray) -> FloatArray:
     return np.zeros(n_x + n_u + n_p + n_y + n_x + n_own)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray) -> None:
     """Fill the scratch with states, inputs and parameters as the model sees them.
 
@@ -144,7 +145,7 @@ def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: Fl
             x[i] = map_value(ints[row + 1], x[i], floats[FLOATS * e + 1], a)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_effect(
     e: int, t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
 ) -> None:
@@ -188,7 +189,7 @@ def add_effect(
         dX[i] += amount * floats[FLOATS * e] * z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def extended_rhs(
     t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
 ) -> None:
@@ -226,7 +227,7 @@ def extended_rhs(
             dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _map_outputs(end: int, system: System, y: FloatArray) -> None:
     """Put into y what stands in place of readings, by the effects before number ``end``."""
     theta, ints, floats, _, _ = system
@@ -238,7 +239,7 @@ def _map_outputs(end: int, system: System, y: FloatArray) -> None:
             y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def extended_output(
     t: float, X: FloatArray, system: System, y: FloatArray, scratch: FloatArray
 ) -> None:

@@ -22,6 +22,7 @@ from comparisons.missing_effect.systems.dynamics import (
     prepare,
     scratch_for,
 )
+from comparisons.missing_effect.systems.pointers import kernel
 from surge_core.types import FloatArray, IntArray
 
 __all__ = [
@@ -40,7 +41,7 @@ FINE = 4
 RELATIVE_STEP = 1e-6
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _jacobian(
     t: float,
     X: FloatArray,
@@ -49,10 +50,14 @@ def _jacobian(
     room: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
-    """Fill out with ∂f/∂X by central differences; room is three rows of n_X, and scratch."""
+    """Fill out with ∂f/∂X in units of the scale, by central differences.
+
+    Room is three rows of n_X, and scratch. In these units the exponential needs few squarings.
+    """
     space, scratch = room
     moved, above, below = space[0], space[1], space[2]
-    moved[:] = X
+    for i in range(X.size):
+        moved[i] = X[i]
     for i in range(X.size):
         step = RELATIVE_STEP * (abs(X[i]) + scale[i])
         moved[i] = X[i] + step
@@ -61,10 +66,10 @@ def _jacobian(
         extended_rhs(t, moved, system, below, scratch)
         moved[i] = X[i]
         for j in range(X.size):
-            out[j, i] = (above[j] - below[j]) / (2.0 * step)
+            out[j, i] = (above[j] - below[j]) / (2.0 * step) * (scale[i] / scale[j])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Fill out with A·B."""
     n = A.shape[0]
@@ -76,7 +81,14 @@ def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
             out[i, j] = total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _copy(A: FloatArray, out: FloatArray) -> None:
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = A[i, j]
+
+
+@kernel
 def _solve(A: FloatArray, B: FloatArray) -> None:
     """Replace B by A⁻¹B and destroy A, which is so near to one that it needs no pivots."""
     n = A.shape[0]
@@ -95,7 +107,7 @@ def _solve(A: FloatArray, B: FloatArray) -> None:
             B[i, j] = total / A[i, i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expm(A: FloatArray, space: FloatArray, out: FloatArray) -> None:
     """Fill out with the exponential of a small matrix: scaling, Padé (3, 3), squaring.
 
@@ -109,7 +121,7 @@ def _expm(A: FloatArray, space: FloatArray, out: FloatArray) -> None:
             row += abs(A[i, j])
         size = max(size, row)
     if not size < 1e12:
-        out[:] = np.nan
+        out.fill(np.nan)
         return
     share, halvings = 1.0, 0
     while size * share > 0.25:
@@ -129,7 +141,7 @@ def _expm(A: FloatArray, space: FloatArray, out: FloatArray) -> None:
     _solve(below, out)
     for _ in range(halvings):
         _multiply(out, out, square)
-        out[:] = square
+        _copy(square, out)
 
 
 @njit(cache=True, error_model="numpy")
@@ -171,7 +183,8 @@ def propagators(
                 power[i, j] = (middle[i, j] + last[i, j]) * (0.25 * step_s)
         _expm(power, space[:3], half[k])
         first, last = last, first
-    return whole, half
+    units = scale.reshape((n, 1)) / scale.reshape((1, n))
+    return whole * units, half * units
 
 
 @njit(cache=True, error_model="numpy")
@@ -188,7 +201,7 @@ def _alone(i: int, ints: IntArray) -> bool:
     return kind in (0, 9, 10)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _moved_alone(
     i: int, t: float, X: FloatArray, by: float, system: System, out: FloatArray, scratch: FloatArray
 ) -> None:

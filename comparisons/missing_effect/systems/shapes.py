@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from numba import njit
+from comparisons.missing_effect.systems.pointers import kernel
 
 __all__ = ["Kind", "Map", "Term", "map_value", "term_value"]
 
@@ -64,7 +64,7 @@ class Map(IntEnum):
     CUBE = 8
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def term_value(code: int, s: float, other: float, a: float, b: float) -> float:
     """Return the shape of a term.
 
@@ -105,7 +105,7 @@ def term_value(code: int, s: float, other: float, a: float, b: float) -> float:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def map_value(code: int, value: float, scale: float, a: float) -> float:
     """Return what stands in place of an input or of a sensor's reading.
 
