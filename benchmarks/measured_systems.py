@@ -80,6 +80,40 @@ SYSTEMS: dict[str, tuple[Model, tuple[str, ...], tuple[str, ...]]] = {
         ("train",),
         ("test",),
     ),
+    "ball_and_beam": (
+        Model(
+            states={"q": "m", "v": "m/s"},
+            inputs={"beam": "rad"},
+            outputs={"ball": "m"},
+            params={
+                "g": P(5.0, 0.1, 50.0, "m/s^2"),
+                "level": P(0.0, -0.5, 0.5, "rad"),
+                "c": P(0.5, 0.0, 20.0, "1/s"),
+            },
+            rhs=lambda t, x, u, p: (x.v, p.g * (u.beam - p.level) - p.c * x.v),
+            output=lambda t, x, u, p: x.q,
+            exact=("q",),
+        ),
+        ("train",),
+        ("test",),
+    ),
+    "beam_servo": (
+        Model(
+            states={"q": "V", "v": "V/s"},
+            inputs={"u": "V"},
+            outputs={"y": "V"},
+            params={
+                "K": P(1.0, 0.01, 100.0, "1/s"),
+                "tau": P(0.1, 0.005, 2.0, "s"),
+                "bias": P(0.0, -5.0, 5.0, "V", per_record=True),
+            },
+            rhs=lambda t, x, u, p: (x.v, (p.K * (u.u - p.bias) - x.v) / p.tau),
+            output=lambda t, x, u, p: x.q,
+            exact=("q",),
+        ),
+        ("ms1", "steps1"),
+        ("ms2", "swept", "steps2"),
+    ),
 }
 
 
@@ -94,8 +128,10 @@ def record(file: Path) -> Experiment:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", nargs="+", default=list(SYSTEMS), help="names of systems")
     args = parser.parse_args()
-    for name, (model, fit, check) in SYSTEMS.items():
+    for name in args.only:
+        model, fit, check = SYSTEMS[name]
         begun, at = time.process_time(), args.folder / name
         d = diagnose_model(
             model,

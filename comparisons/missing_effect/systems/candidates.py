@@ -87,11 +87,15 @@ class Candidate:
 
     @property
     def accepted(self) -> bool:
+        """Whether it stands, and wins more than the best of all candidates does by chance."""
+        e = self.evidence
+        return self.stands and e is not None and e.train + e.later > self.chance
+
+    @property
+    def stands(self) -> bool:
         """Whether fitted and held-out rows both speak for it, and it did not vanish."""
         e = self.evidence
         if e is None or self.vanished or self.wild:
-            return False
-        if e.train + e.later <= self.chance:
             return False
         alone = e.later > 0.0 and e.p_value < LARGEST_P and self.one_sided
         return e.accepted or alone

@@ -61,7 +61,7 @@ def doubts_of(
         out.append("a term without a name explains more")
     elif step.outfitted:
         out.append("terms without a name fit the rows fitted better, if not those held out")
-    if not winner.accepted:
+    if not winner.stands:
         out.append("it explains the slow part of the error alone, which a disturbance may be")
     fitted, held = step.rates
     if held < LEAST_HELD_OUT_RATE * fitted:

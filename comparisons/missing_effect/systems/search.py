@@ -68,7 +68,7 @@ def search_round(
     keys = {c.probe.key for c in tried}
     rest = [Candidate(p.placed, p) for p in white.best() if p.key not in keys]
     ranked = tuple(sorted(tried, key=lambda c: -c.score)) + tuple(rest)
-    winner, aliases, rivalled = _winner(weigher, [c for c in ranked if c.accepted])
+    winner, aliases, rivalled = _winner(weigher, [c for c in ranked if c.stands])
     slow = [c for c in ranked if c.accepted_slow]
     if winner is None and slow:
         winner = max(slow, key=lambda c: c.slow)
@@ -113,16 +113,17 @@ def _rival(
 
 
 def _winner(
-    weigher: Weigher, accepted: Sequence[Candidate]
+    weigher: Weigher, standing: Sequence[Candidate]
 ) -> tuple[Candidate | None, tuple[Candidate, ...], bool]:
     """Return what is added, its alias set, and whether a term without a name does as well.
 
-    Of the set the one with fewest numbers speaks.
+    The best must win more than chance; which of those beside it is meant is another question. Of
+    the set the one with fewest numbers speaks.
     """
-    if not accepted:
+    best = max((c for c in standing if c.accepted), key=lambda c: c.score, default=None)
+    if best is None:
         return None, (), False
-    best = max(accepted, key=lambda c: c.score)
-    pool = [best, *[c for c in accepted if c is not best]]
+    pool = [best, *[c for c in standing if c is not best]]
     near = _near(weigher, pool)
     margin = max(UNNAMED_GAP, UNNAMED_SHARE * abs(best.score))
     named = [
@@ -136,7 +137,7 @@ def _winner(
         # A name speaks wherever the records cannot tell it from a term without one.
         name = max(named, key=lambda c: c.score)
         best, rivalled = name, best.score - name.score > UNNAMED_GAP
-        pool = [best, *[c for c in accepted if c is not best and not c.unnamed]]
+        pool = [best, *[c for c in standing if c is not best and not c.unnamed]]
         near = _near(weigher, pool)
     simple = _simple_form(best, pool)
     aliases = [c for c, same in zip(pool, near, strict=True) if same or c is simple or c is best]
