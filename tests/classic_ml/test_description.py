@@ -124,23 +124,6 @@ def test_all_that_is_missing_or_wrong_is_said_at_once(made: RawTest, tmp_path: P
     assert "found nothing (" not in str(caught.value)
 
 
-def test_channels_that_do_not_go_together_are_named_at_once(made: RawTest, tmp_path: Path) -> None:
-    tables = edited(made.description, f"{CHANNEL}/facing", "forward")
-    tables = edited(tables, "limits", {"T99": [1.0, 2.0]})
-    with pytest.raises(InputError, match=r"limits\.T99: .*; channels: .*one forward and one aft"):
-        read(tmp_path, tables)
-
-
-def test_one_mistake_in_many_channels_is_said_once(made: RawTest, tmp_path: Path) -> None:
-    tables, names = made.description, list(made.description["channels"])[:10]
-    for name in names:
-        tables = edited(tables, f"channels/{name}/rake", ...)
-    with pytest.raises(InputError) as caught:
-        read(tmp_path, tables)
-    places = ", ".join(f"channels.{name}.rake" for name in names[:8])
-    assert f"{places} and 2 more: expected the name of a rake" in str(caught.value)
-
-
 @pytest.mark.parametrize("content", [b"", b"[test", b"\xff\xfe\x00"])
 def test_a_file_that_is_not_a_description_is_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "test.toml"

@@ -55,15 +55,6 @@ def test_psi_p_is_the_rig_s_within_0_1(case: str) -> None:
     assert rms(case, 0, "psi_p") < 0.1
 
 
-@pytest.mark.parametrize(
-    ("case", "known"), [("985", False), ("95", False), ("985-second", False), ("90", True)]
-)
-def test_the_work_coefficient_is_known_at_90_percent_alone(case: str, known: bool) -> None:
-    reduction = reduced(case, 0)
-    assert (reduction.series.psi is not None) is known
-    assert ("W31_kg_s" in reduction.record) is known
-
-
 @pytest.mark.parametrize("case", ["985", "90", "95", "985-second", "blowdown"])
 def test_the_window_holds_the_repeating_cycles_of_every_plant(case: str) -> None:
     reduction = reduced(case, 0)

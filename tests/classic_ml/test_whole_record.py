@@ -19,7 +19,6 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.twin import twin_of
 from classic_ml.whole_record.branches import Specification, fit_branches
 from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
-from classic_ml.whole_record.chain import STEP, Chain
 from classic_ml.whole_record.passes import Passes, passes_of, threshold_between
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
@@ -178,14 +177,6 @@ def test_a_file_gives_what_the_series_gives(
         assert again.tau_s == pytest.approx(fitted.fits_[0].tau_s, rel=1e-6)
 
 
-def test_the_chain_travels_through_the_ledger(
-    series: CoefficientSeries, signals: RakeSignals
-) -> None:
-    (entry,) = [entry for entry in series.history if entry.step == STEP]
-    assert Chain.from_parameters(entry.parameters) == signals.chain
-    assert signals.chain.of_plane(25)[0].immersion in ("hub", "tip")
-
-
 def test_without_the_columns_of_the_rakes_the_fall_back_answers(series: CoefficientSeries) -> None:
     fit = fit_whole_records([replace(series, rakes={})])
     assert not isinstance(fit, WholeRecordRun)
@@ -230,12 +221,6 @@ def test_what_is_not_known_is_not_printed(
         assert math.isnan(found.time_constant_s_)
         assert np.isnan(found.covariance_).all()
         assert all(math.isnan(end) for end in found.ci95_s_)
-
-
-def test_without_twins_the_interval_says_what_it_lacks(series: CoefficientSeries) -> None:
-    fit = fit_whole_records([series], n_twins=0)
-    assert isinstance(fit, WholeRecordRun)
-    assert "no twins were measured" in fit.cautions_[0]
 
 
 def test_a_wide_interval_is_refused_and_a_second_record_helps(

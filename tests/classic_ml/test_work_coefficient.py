@@ -340,19 +340,6 @@ def test_the_mass_balance_shows_psi_row_by_row_where_the_other_forms_do_not() ->
     assert rms("exit-flow", None) > 10 * balanced
 
 
-@pytest.mark.parametrize("case", ["95", "985"])
-def test_above_90_percent_one_sentence_says_why_there_is_no_psi(case: str) -> None:
-    reduction, _ = rig_reduction(case, 0)
-    record = reduction.record
-    assert "psi" not in record
-    said = [e for e in record.history if e.step == "work coefficient"]
-    assert [e.did for e in said] == ["ψ is not known"]
-    assert [(d.what, d.why) for d in said[0].dropped] == [("ψ", "no T31 that counts, so no W31")]
-    beyond = [d for e in record.history for d in e.dropped if d.what.startswith("T31")]
-    assert len(beyond) == 2
-    assert all("beyond its limits" in d.why for d in beyond)
-
-
 def test_a_machine_twice_the_size_has_the_same_characteristic() -> None:
     one, two = fitted(*planes()), fitted(*planes(size=2.0))
     assert two.time_constant_s == pytest.approx(one.time_constant_s, rel=1e-6)

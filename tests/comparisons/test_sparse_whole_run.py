@@ -96,12 +96,6 @@ def test_without_its_rakes_two_codes_agree_on_the_parabola(folder: Path) -> None
         assert sparse.n_scored_ == twin.n_scored_
 
 
-def test_rakes_make_it_another_estimate_than_that_of_the_rows_in_stall(folder: Path) -> None:
-    record = series("985", 0, folder)
-    own, other = fitted("985", 0, folder), fit_whole_runs([record])
-    assert abs(own.time_constant_s_ / other.time_constant_s_ - 1.0) > 1e-3
-
-
 def test_a_cubic_of_150_beside_the_parabola_is_undecidable(folder: Path) -> None:
     parabola = fitted("985", 0, folder)
     assert parabola.departure_.finding == "undecidable"

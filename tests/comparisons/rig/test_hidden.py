@@ -44,7 +44,6 @@ IN_THE_PLANT = (
     "flow_dependent_lag",
 )
 IN_THE_SENSORS = tuple(name for name in HIDEABLE if name not in IN_THE_PLANT)
-CELL_S = 1.0 / CASES["985"].cell_frequency_hz
 
 
 @cache

@@ -12,7 +12,7 @@ import pytest
 from driven_mass import CUBIC, NOISE_M, files
 from made_systems import made_diagnosis
 
-from comparisons.missing_effect.document import diagnosis_document, rmse_of
+from comparisons.missing_effect.document import diagnosis_document
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.files import load_model, read_experiment
 from comparisons.missing_effect.systems.results import SystemDiagnosis
@@ -128,57 +128,6 @@ def test_a_simulation_that_failed_is_null(hidden: SystemDiagnosis) -> None:
     assert found["gap"]["before_rms"] is None
     assert found["where"] == {"time": [], "frequency": [], "flow": []}
     assert found["test_rmse"]["check"]["before"] is None
-
-
-def two_outputs(d: SystemDiagnosis, unit: str, factor: float) -> SystemDiagnosis:
-    """The same errors in y, and twice these in a second output of another unit and size."""
-    (run,) = d.checks
-
-    def both(values: np.ndarray, times: float) -> np.ndarray:
-        return np.hstack([values, factor * (run.measured + times * (values - run.measured))])
-
-    outputs = {"y": "m", "z": unit}
-    made = replace(
-        run,
-        outputs=outputs,
-        measured=both(run.measured, 1.0),
-        before=both(run.before, 2.0),
-        after=both(run.after, 2.0),
-    )
-    model = replace(
-        d.model, outputs=outputs, output=lambda t, x, u, p: (x.q, factor * x.q), name="two"
-    )
-    floor = (d.floor[0], 2.0 * factor * d.floor[0])
-    return replace(d, model=model, checks=(made, made), floor=floor)
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor", "told", "times"),
-    [
-        ("V", 1e-3, "mV", 1e3),
-        ("V", 10.0, "V", 1.0),
-        ("m^3", 1e-3, "m^3", 1.0),
-    ],
-)
-def test_splits_and_units_of_the_errors(
-    hidden: SystemDiagnosis, unit: str, factor: float, told: str, times: float
-) -> None:
-    d = two_outputs(hidden, unit, factor)
-    own, gap = hidden.gap, d.gap
-    (run,) = hidden.checks
-    swing = float(np.std(run.measured[run.settle :]))
-    # One and two shares of the swing: the root mean square is √2.5 of the first.
-    assert gap.after_rms == pytest.approx(np.sqrt(2.5) * own.after_rms / swing, rel=1e-6)
-    assert gap.shrink == pytest.approx(own.shrink, rel=1e-6)
-    errors = rmse_of(d.checks)
-    # The two check records have one name: none is lost.
-    assert set(errors) == {"y_check", "z_check", "y_check (2)", "z_check (2)"}
-    single = rmse_of(hidden.checks)["check"]
-    assert errors["y_check"]["before"] == pytest.approx(single["before"])
-    assert errors["y_check"]["unit"] == single["unit"] == "m"
-    found = errors["z_check"]
-    assert found["unit"] == told
-    assert found["after"] == pytest.approx(times * float(d.checks[0].after_rms[1]))
 
 
 def test_a_check_that_got_worse_comes_first_and_each_doubt_is_said() -> None:
