@@ -125,16 +125,6 @@ def test_a_spoiled_file_is_refused(
     assert str(raw) in refusal(raw, test)
 
 
-@pytest.mark.parametrize("name", ["nothing.csv", "raw.dat", ""])
-def test_a_file_that_is_not_there_or_not_a_table_is_refused(
-    files: tuple[Path, Path], name: str
-) -> None:
-    raw, test = files
-    (raw.parent / "raw.dat").write_bytes(raw.read_bytes())
-    sentence = refusal(raw.parent / name, test)
-    assert any(w in sentence for w in ("no such file", "a folder", "the suffix '.dat'"))
-
-
 def long_record(folder: Path, made: RawTest, copies: int = 6) -> tuple[Path, Path]:
     """The record several times over, on one clock, as codes of 16 bits in Parquet."""
     n = made.columns["time_s"].size - 1

@@ -9,8 +9,6 @@ import pandas as pd
 import pytest
 from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
-from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
 
 from classic_ml import LagRegressor, PiecewiseLinear
@@ -63,27 +61,6 @@ def test_segments_keep_their_own_start_and_linking_them_does_harm(noise: str) ->
 
 def _truth(phi: list[float]) -> np.ndarray:
     return np.polynomial.polynomial.polyval(np.asarray(phi), BETA)
-
-
-@pytest.mark.parametrize("noise", NOISES)
-def test_what_stands_in_rows_of_weight_zero_does_not_matter(noise: str) -> None:
-    rng = np.random.default_rng(9)
-    phi = flow(1500, rng)
-    y = lagged(phi, "first") + 0.001 * rng.standard_normal(1500)
-    weight = np.ones(1500)
-    weight[400:450] = weight[900] = weight[0] = 0.0
-    spoiled = y.copy()
-    spoiled[weight == 0.0] = 1e3
-    fits = [
-        LagRegressor(PERIOD_S, noise=noise, hold="first").fit(
-            phi[:, None], values, sample_weight=weight
-        )
-        for values in (y, spoiled)
-    ]
-    assert fits[0].time_constant_s_ == pytest.approx(fits[1].time_constant_s_, rel=1e-9)
-    np.testing.assert_allclose(fits[0].coef_, fits[1].coef_, rtol=1e-8)
-    if noise != "arx":
-        assert abs(fits[0].time_constant_s_ - TAU_S) < 5 * fits[0].time_constant_stderr_s_
 
 
 def test_rows_of_weight_zero_are_simulated_through() -> None:
@@ -256,32 +233,6 @@ def test_bad_data_are_refused() -> None:
         LagRegressor(basis=PiecewiseLinear(breakpoints=(0.3, 0.2))).fit(X, y)
 
 
-def test_pickles_and_works_in_pipeline_and_grid_search() -> None:
-    X, y, labels = segmented(19, n_segments=4)
-    m = LagRegressor(PERIOD_S).fit(X, y, labels)
-    again = pickle.loads(pickle.dumps(m))
-    np.testing.assert_array_equal(again.predict(X, labels), m.predict(X, labels))
-    pipe = make_pipeline(FunctionTransformer(), LagRegressor(PERIOD_S, hold="first"))
-    pipe.fit(X, y, lagregressor__segments=labels)
-    search = GridSearchCV(LagRegressor(PERIOD_S), {"degree": [1, 2]}, cv=LeaveOneGroupOut())
-    search.fit(X, y, groups=labels)
-    assert search.best_params_ == {"degree": 2}
-
-
-def test_a_drift_over_rows_cut_out_of_a_record_is_each_segment_s_own() -> None:
-    rng = np.random.default_rng(21)
-    n = 8000
-    phi = flow(n, rng)
-    t = np.arange(n) * PERIOD_S
-    y = lagged(phi, "first") + 0.1 * np.sin(2 * np.pi * t / 9.0)
-    y += 0.002 * rng.standard_normal(n)
-    keep = (np.arange(n) % 400) < 250
-    labels = np.arange(n) // 400
-    m = LagRegressor(PERIOD_S, noise="output-error", drift="spline", hold="first")
-    m.fit(phi[keep, None], y[keep], segments=labels[keep])
-    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=0.05)
-
-
 def test_constant_flow_is_a_state_not_a_curve() -> None:
     rng = np.random.default_rng(22)
     y = 0.5 + 0.01 * rng.standard_normal(400)
@@ -308,14 +259,3 @@ def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
     assert renamed.time_constant_s_ == m.time_constant_s_
     assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
     np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
-
-
-def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
-    X, y = clean()
-    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
-    at = np.linspace(0.1, 0.5, 5)
-    for held in (None, TAU_S):
-        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
-        terms = at[:, None] ** np.arange(3)
-        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
-        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)

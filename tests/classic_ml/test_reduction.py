@@ -119,22 +119,6 @@ def test_the_work_coefficient_follows_the_temperature_rise() -> None:
     assert np.median(np.abs(series.psi[rows] - expected[rows])) < 0.01
 
 
-def test_a_record_without_surge_is_refused() -> None:
-    with pytest.raises(InputError, match="no surge in the record"):
-        reduced(make_test(surge=False, seconds=1.0))
-
-
-def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
-    columns = dict(made.columns)
-    columns["P25_A_tip_forward"] = np.full(columns["time_s"].size, 1000.0)
-    columns["P31_B_hub_aft"] = np.where(columns["time_s"] > 1.5, 0.0, columns["P31_B_hub_aft"])
-    one = reduced(dataclasses.replace(made, columns=columns))
-    dropped = [d.what for e in one.record.history for d in e.dropped if "pair" in d.what]
-    assert dropped == ["pair 25_A_tip", "pair 31_B_hub"]
-    assert rms(made, one, "phi") < 0.02
-    assert rms(made, one, "psi_p") < 0.06
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

@@ -154,16 +154,6 @@ def test_a_netcdf_file_that_was_cut_short_is_refused(tmp_path: Path) -> None:
         read_series(file)
 
 
-def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_series(tmp_path / "none.csv")
-    (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(InputError, match="a folder"):
-        read_series(tmp_path / "folder.csv")
-    with pytest.raises(InputError, match="no folder"):
-        write_series(made(), tmp_path / "deep" / "run.csv")
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".nc"])
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch

@@ -146,26 +146,15 @@ def test_an_interrupt_is_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_option_is_named_and_not_the_field_behind_it(
-    raw: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = ("reduce", raw / "raw.csv", "--test", raw / "test.toml", "-o", tmp_path / "s.csv")
-    assert "--cutoff: expected" in refused(capsys, *files, "--cutoff", "0")
-    assert "--filter-order: expected" in refused(capsys, *files, "--filter-order", "4")
-    assert "--window: expected" in refused(capsys, *files, "--window", "3", "2")
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("compare", "s.csv", "--degree", "0"), "--degree: expected a whole number from 1 to 12"),
         (("compare", "s.csv", "--degree", "two"), "found 'two'"),
         (("orders", "s.csv", "--degrees", "-1"), "--degrees: expected a whole number"),
         (("compare", "s.csv", "--hold", "second"), "--hold: invalid choice"),
         (("compare", "s.csv", "--tau", "-5ms"), "above 0 and up to 10 s, found -0.005 s"),
         (("compare", "s.csv", "--tau", "abc"), "a time constant such as 18ms"),
         (("compare",), "SERIES"),
-        (("fly",), "fly"),
         ((), "COMMAND"),
     ],
 )

@@ -183,29 +183,6 @@ def test_what_does_not_fit_the_test_is_reported(
     assert "reduce would refuse it:" in out
 
 
-def test_what_cannot_be_read_is_refused(
-    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    raw, toml = made.write(tmp_path)
-    toml.write_text("[test]\n", "utf-8")
-    (tmp_path / "raw.h5").write_bytes(b"no HDF5")
-    text = raw.read_text("utf-8")
-    (tmp_path / "text.csv").write_text("state,note\non,start\n", "utf-8")
-    (tmp_path / "cut.csv").write_text(text[: len(text) * 2 // 3].rsplit(",", 5)[0], "utf-8")
-    for arguments, words in (
-        ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
-        ([tmp_path / "none.csv"], "no such file"),
-        ([tmp_path / "cut.csv"], "expected 21 values in every row"),
-        ([tmp_path / "text.csv"], "expected columns of numbers, found text alone"),
-        ([raw, "--test", toml], "test.toml: test.name: expected a value"),
-        ([tmp_path / "raw.h5", "--group", "a", "--test", toml], "--group: expected it without"),
-    ):
-        code, out, err = run(capsys, *arguments)
-        assert (code, out) == (2, "")
-        assert words in err
-        assert err.count("\n") == 1
-
-
 def filled_in(draft: str, made: RawTest) -> str:
     """The draft with every commented key filled from the description that it is to become."""
     table, lines = "", []

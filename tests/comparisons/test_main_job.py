@@ -89,7 +89,7 @@ def test_both_estimators_reconstruct_the_held_out_cycles(independent: Comparison
         assert held_out.r2 > 0.85
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_curve_of_the_own_rig(seed: int) -> None:
     series = rig_series("985", seed)
     comparison = compare_records([series], estimators=only("classic_ml", "paper", n_twins=0))
@@ -180,7 +180,7 @@ def test_tau_held_at_a_trial_value() -> None:
     assert curve_error(comparison, beta) < 0.12 < curve_error(wrong, beta)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_undoing_the_thermocouples_alone_makes_the_curve_worse(seed: int) -> None:
     """Why the default leaves them, as the paper did: behind the filter two errors cancel."""
     raw = rig_record("985", seed)
@@ -194,7 +194,7 @@ def test_undoing_the_thermocouples_alone_makes_the_curve_worse(seed: int) -> Non
     assert errors[1] > errors[0] + 0.05
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_start_of_c_matters_on_low_passed_data(seed: int) -> None:
     """The 0.15 above holds for the classical start; the exact one stays within 0.3."""
     series = rig_series("985", seed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import io
 import re
 
@@ -101,27 +100,3 @@ def test_a_cycle_takes_as_long_as_it_was_made(surge_hz: float) -> None:
     words = plots_record.cycle_words(swinging(0.02, surge_hz=surge_hz).psi_p, RATE_HZ)
     period = float(found_in(r"A cycle takes ([\d.]+) ms", words).group(1))
     assert period == pytest.approx(1e3 / surge_hz, rel=0.01)
-
-
-def test_the_words_on_a_comparison_are_its_errors() -> None:
-    fit = made_comparison()
-    rows = fit.rows
-    for words, part in (
-        (plots_residuals.errors_in_time(fit).alt, "reconstruction"),
-        (plots_fit.reconstruction(fit).alt, "trained"),
-    ):
-        for result in fit.results:
-            error = rows.measured - getattr(result, part)
-            rms = float(np.sqrt(np.mean(error**2)))
-            assert numbers(words.split(result.label, 1)[1])[0] == pytest.approx(rms, rel=0.06)
-
-
-def test_a_refused_fit_is_described_without_numbers() -> None:
-    fit = made_comparison()
-    lost = np.full(fit.rows.phi.size, np.nan)
-    refused = dataclasses.replace(fit.results[0], reconstruction=lost, trained=lost)
-    fit = dataclasses.replace(fit, results=(refused, *fit.results[1:]))
-    with np.errstate(invalid="ignore"):
-        for picture in (plots_residuals.errors_in_time(fit), plots_fit.reconstruction(fit)):
-            assert "nan" not in picture.alt
-    assert "n/a" in plots_fit.reconstruction(fit).alt

@@ -123,24 +123,6 @@ def test_the_numbers_are_there_rounded_to_their_uncertainty(html: str) -> None:
     assert "τ off by +12.1 ms (9.7 of its standard errors)" in text
 
 
-def test_the_low_pass_is_warned_of_before_the_table(html: str) -> None:
-    text = Page(html).text
-    assert text.index("known to come out high") < text.index("0.0025 ± 0.0011")
-    assert "P25_A: 40 rows clipped" in text
-
-
-def test_the_ledger_says_what_was_dropped_even_when_nothing_was(
-    html: str, reduction: Reduction
-) -> None:
-    text = Page(html).text
-    for entry in reduction.record.history:
-        assert re.sub(r"\s+", " ", entry.did) in text
-    assert text.count("nothing dropped") >= sum(not e.dropped for e in reduction.record.history)
-    assert "rows (120): outside the window" in text
-    assert "T31_B: 3 rows clipped" in text
-    assert "cutoff_hz = 48" in text
-
-
 def test_what_files_and_ledgers_say_is_text() -> None:
     entry = LedgerEntry(EVIL, EVIL, {EVIL: EVIL}, (Dropped(EVIL, 1, EVIL),), (EVIL,))
     comparison = made_comparison(
