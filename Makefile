@@ -10,7 +10,7 @@ demo: $(STAMP)
 	$(BIN)/sindy-surge demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2 --dist worksteal --ignore tests/screen --ignore tests/benchmarks
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/screen --ignore tests/benchmarks
 
 # That each benchmark runs, at its shortest, and that what it measures with is right.
 benchmarks: $(STAMP)

@@ -17,7 +17,6 @@ from classic_ml.calibration import (
 )
 from classic_ml.description import TestDescription
 from classic_ml.records import Channel, Record
-from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 
 
@@ -43,22 +42,6 @@ def test_calibration_returns_the_true_pressures_and_temperatures(loaded) -> None
     assert out.channel("P25_A_hub_forward").unit == "Pa"
     np.testing.assert_allclose(out["T25_A"], made.truth["T25"], atol=0.01)
     assert [e.step for e in out.history] == ["read", "calibrate"]
-
-
-def test_a_reduction_refuses_what_the_steps_refuse() -> None:
-    record, test = make_test(seconds=1.0, noise_counts=1.0).load()
-    names = ("P25_A_tip_forward", "P25_A_tip_aft")
-    swapped = [Channel(a, record[b], "count") for a, b in (names, names[::-1])]
-    with pytest.raises(InputError, match="pair P25_A_tip"):
-        reduce_record(record.after(record.history[-1], add=swapped), test)
-    hot = Channel("T25_A", 1.8 * record["T25_A"], "K")
-    with pytest.raises(InputError, match="channel T25_A: expected about 255 K"):
-        reduce_record(record.after(record.history[-1], add=[hot]), test)
-    with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
-        reduce_record(calibrate(record, test), test)
-    elsewhere = test.near_stall.model_copy(update={"from_s": 5.0, "to_s": 6.0})
-    with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval"):
-        reduce_record(record, dataclasses.replace(test, near_stall=elsewhere))
 
 
 def matched(record: Record, test: TestDescription) -> Record:

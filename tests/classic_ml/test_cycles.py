@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from clean_records import SURGES, clean_record, rows_of
+from rig_records import rig_record
 
-from classic_ml.io import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
-from comparisons.rig import simulate, write_run
 from surge_core.errors import InputError
 
 # Cycles and their period in ms, as found before mild oscillations were told from them.
@@ -58,12 +55,9 @@ def test_mild_oscillations_in_stall_are_no_cycles(name: str, n_rows: int) -> Non
         reduce_record(head(name, n_rows), clean_record(name)[1])
 
 
-def test_a_machine_that_oscillates_mildly_for_good_is_reduced_and_it_is_said(
-    tmp_path: Path,
-) -> None:
+def test_a_machine_that_oscillates_mildly_for_good_is_reduced_and_it_is_said() -> None:
     """With a strong hysteresis the case of 98.5 % speed settles on small limit cycles."""
-    write_run(simulate("985", seed=3, hide="hysteresis"), tmp_path)
-    record, test = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml")
+    record, test = rig_record("985", 3, hide="hysteresis")
     history = reduce_record(record, test).record.history
     entry = next(entry for entry in history if entry.step == "window")
     assert int(entry.parameters["n_cycles"]) > 30

@@ -15,7 +15,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from classic_ml import LagRegressor
-from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.display import Field, Grid, Sheet
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
 SHEET = Sheet(
@@ -132,13 +132,3 @@ def test_before_a_fit_scikit_learn_shows_it_and_repr_rebuilds_it(model: LagRegre
         assert not hasattr(model, "_repr_html_")
     pipeline = make_pipeline(StandardScaler(), LagRegressor())
     assert "sk-container" in pipeline._repr_html_()
-
-
-def test_a_value_prints_and_shows_its_sheet() -> None:
-    class Value(Displayed):
-        def _sheet(self) -> Sheet:
-            return SHEET
-
-    assert str(Value()) == SHEET.text()
-    assert Value()._repr_html_() == SHEET.html()
-    assert Value()._repr_mimebundle_() == {"text/plain": SHEET.text(), "text/html": SHEET.html()}

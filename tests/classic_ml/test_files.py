@@ -8,9 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
-from comparison_data import made_series
 
-from classic_ml.io.series import write_series
 from surge_core.errors import InputError
 from surge_core.files import check_apart, replace_whole
 
@@ -50,22 +48,4 @@ def test_a_full_disk_is_told_by_the_name_that_the_user_gave(tmp_path: Path) -> N
             replace_whole(path, write)
         assert caught.value.filename == str(path)
         assert caught.value.strerror
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_netcdf_file_for_which_there_is_no_room_is_told_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """HDF5 says so when it closes the file, in an error of its own kind."""
-
-    def full(*_: object, **__: object) -> None:
-        raise RuntimeError(
-            "Can't decrement id ref count (unable to extend file properly, errno = 27, error "
-            "message = 'File too large')"
-        )
-
-    monkeypatch.setattr("xarray.Dataset.to_netcdf", full)
-    with pytest.raises(OSError, match="File too large") as caught:
-        write_series(made_series(n=200), tmp_path / "series.nc")
-    assert caught.value.filename == str(tmp_path / "series.nc")
     assert not list(tmp_path.iterdir())

@@ -7,10 +7,8 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
-from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
+from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
-from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
 
 from classic_ml import LagRegressor, PiecewiseLinear
@@ -35,54 +33,6 @@ def test_exact_data_give_the_exact_answer(noise: str, hold: str) -> None:
     np.testing.assert_allclose(m.coef_, BETA, rtol=1e-6)
     assert m.terms_ == ["1", "phi", "phi^2"]
     np.testing.assert_allclose(m.predict(X), y, atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("true", "wrong", "low", "high"),
-    [("first", "zero", -0.04, -0.02), ("zero", "first", 0.02, 0.04)],
-)
-def test_the_wrong_hold_biases_tau_by_two_to_four_percent(
-    true: str, wrong: str, low: float, high: float
-) -> None:
-    X, y = clean(hold=true)
-    m = LagRegressor(PERIOD_S, noise="output-error", hold=wrong).fit(X, y)
-    assert low < m.time_constant_s_ / TAU_S - 1.0 < high
-
-
-def test_one_sample_of_misalignment_biases_tau_by_several_percent() -> None:
-    X, y = clean(hold="first")
-    early = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[:-1], y[1:])
-    late = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[1:], y[:-1])
-    # On this slow flow; the faster the flow, the more a sample is worth.
-    assert 0.92 * TAU_S < early.time_constant_s_ < 0.95 * TAU_S
-    assert 1.05 * TAU_S < late.time_constant_s_ < 1.08 * TAU_S
-
-
-@pytest.mark.parametrize("c", [-0.6, 0.4])
-def test_armax_is_unbiased_and_its_errors_are_honest(c: float) -> None:
-    estimates, errors, ma = [], [], []
-    for seed in range(30):
-        rng = np.random.default_rng(seed)
-        phi = flow(2000, rng)
-        y = lagged(phi, "zero") + coloured(2000, c, 0.002, rng)
-        m = LagRegressor(PERIOD_S, noise="armax").fit(phi[:, None], y)
-        estimates.append([m.time_constant_s_, *m.coef_])
-        errors.append([m.time_constant_stderr_s_, *np.sqrt(np.diag(m.covariance_))])
-        ma.append(m.moving_average_[0])
-    z = (np.array(estimates) - [TAU_S, *BETA]) / np.array(errors)
-    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / np.sqrt(30))
-    assert np.all((z.std(axis=0) > 0.65) & (z.std(axis=0) < 1.5))
-    assert np.mean(ma) == pytest.approx(c, abs=4 * np.std(ma) / np.sqrt(30) + 0.01)
-
-
-def test_arx_reads_output_noise_as_a_shorter_lag() -> None:
-    rng = np.random.default_rng(5)
-    phi = flow(4000, rng)
-    y = lagged(phi, "zero") + 0.003 * rng.standard_normal(4000)
-    arx = LagRegressor(PERIOD_S, noise="arx").fit(phi[:, None], y)
-    armax = LagRegressor(PERIOD_S, noise="armax").fit(phi[:, None], y)
-    assert arx.time_constant_s_ < 0.8 * TAU_S
-    assert abs(armax.time_constant_s_ - TAU_S) < 4 * armax.time_constant_stderr_s_
 
 
 def segmented(seed: int, n_segments: int = 10, n: int = 300) -> tuple[np.ndarray, ...]:
@@ -111,27 +61,6 @@ def test_segments_keep_their_own_start_and_linking_them_does_harm(noise: str) ->
 
 def _truth(phi: list[float]) -> np.ndarray:
     return np.polynomial.polynomial.polyval(np.asarray(phi), BETA)
-
-
-@pytest.mark.parametrize("noise", NOISES)
-def test_what_stands_in_rows_of_weight_zero_does_not_matter(noise: str) -> None:
-    rng = np.random.default_rng(9)
-    phi = flow(1500, rng)
-    y = lagged(phi, "first") + 0.001 * rng.standard_normal(1500)
-    weight = np.ones(1500)
-    weight[400:450] = weight[900] = weight[0] = 0.0
-    spoiled = y.copy()
-    spoiled[weight == 0.0] = 1e3
-    fits = [
-        LagRegressor(PERIOD_S, noise=noise, hold="first").fit(
-            phi[:, None], values, sample_weight=weight
-        )
-        for values in (y, spoiled)
-    ]
-    assert fits[0].time_constant_s_ == pytest.approx(fits[1].time_constant_s_, rel=1e-9)
-    np.testing.assert_allclose(fits[0].coef_, fits[1].coef_, rtol=1e-8)
-    if noise != "arx":
-        assert abs(fits[0].time_constant_s_ - TAU_S) < 5 * fits[0].time_constant_stderr_s_
 
 
 def test_rows_of_weight_zero_are_simulated_through() -> None:
@@ -189,19 +118,6 @@ def test_any_transformer_and_several_inputs_serve_as_basis() -> None:
     nameless = LagRegressor(PERIOD_S, basis=FunctionTransformer(lambda v: np.hstack([v**0, v])))
     nameless.fit(phi[:, None], lagged(phi, "zero"))
     assert nameless.terms_ == ["s1", "s2"]
-
-
-def test_characteristic_band_covers_the_truth() -> None:
-    at = np.linspace(0.1, 0.5, 9)
-    inside = []
-    for seed in range(30):
-        rng = np.random.default_rng(300 + seed)
-        phi = flow(1500, rng)
-        y = lagged(phi, "zero") + coloured(1500, -0.5, 0.003, rng)
-        value, stderr = LagRegressor(PERIOD_S).fit(phi[:, None], y).characteristic(at)
-        inside.append(np.abs(value - _truth(at.tolist())) < 1.96 * stderr)
-    # 30 seeds with correlated points: 95 % within four standard errors of a proportion.
-    assert np.mean(inside) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / 30)
 
 
 def test_one_step_predictions_are_those_the_fit_minimised() -> None:
@@ -317,51 +233,6 @@ def test_bad_data_are_refused() -> None:
         LagRegressor(basis=PiecewiseLinear(breakpoints=(0.3, 0.2))).fit(X, y)
 
 
-def test_pickles_and_works_in_pipeline_and_grid_search() -> None:
-    X, y, labels = segmented(19, n_segments=4)
-    m = LagRegressor(PERIOD_S).fit(X, y, labels)
-    again = pickle.loads(pickle.dumps(m))
-    np.testing.assert_array_equal(again.predict(X, labels), m.predict(X, labels))
-    pipe = make_pipeline(FunctionTransformer(), LagRegressor(PERIOD_S, hold="first"))
-    pipe.fit(X, y, lagregressor__segments=labels)
-    search = GridSearchCV(LagRegressor(PERIOD_S), {"degree": [1, 2]}, cv=LeaveOneGroupOut())
-    search.fit(X, y, groups=labels)
-    assert search.best_params_ == {"degree": 2}
-
-
-@pytest.mark.parametrize("noise", ["armax", "output-error"])
-def test_white_output_noise_on_short_segments_does_not_bias_tau(noise: str) -> None:
-    errors, z = [], []
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        X, y, labels = [], [], []
-        for label in range(18):
-            phi = flow(160, rng)
-            X.append(phi[100:])
-            y.append(lagged(phi, "zero")[100:] + 0.003 * rng.standard_normal(60))
-            labels.append(np.full(60, label))
-        m = LagRegressor(PERIOD_S, noise=noise)
-        m.fit(np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels))
-        errors.append(m.time_constant_s_ - TAU_S)
-        z.append(errors[-1] / m.time_constant_stderr_s_)
-    assert abs(np.mean(errors)) < 3.5 * np.std(errors) / np.sqrt(40)
-    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
-
-
-def test_a_drift_over_rows_cut_out_of_a_record_is_each_segment_s_own() -> None:
-    rng = np.random.default_rng(21)
-    n = 8000
-    phi = flow(n, rng)
-    t = np.arange(n) * PERIOD_S
-    y = lagged(phi, "first") + 0.1 * np.sin(2 * np.pi * t / 9.0)
-    y += 0.002 * rng.standard_normal(n)
-    keep = (np.arange(n) % 400) < 250
-    labels = np.arange(n) // 400
-    m = LagRegressor(PERIOD_S, noise="output-error", drift="spline", hold="first")
-    m.fit(phi[keep, None], y[keep], segments=labels[keep])
-    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=0.05)
-
-
 def test_constant_flow_is_a_state_not_a_curve() -> None:
     rng = np.random.default_rng(22)
     y = 0.5 + 0.01 * rng.standard_normal(400)
@@ -378,20 +249,6 @@ def test_too_many_knots_are_refused_before_memory_runs_out() -> None:
         )
 
 
-def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
-    z, lags = [], []
-    for seed in range(25):
-        rng = np.random.default_rng(100 + seed)
-        phi = flow(4000, rng)
-        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
-        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
-        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
-        lags.append(m.residual_lag_)
-    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
-    assert 0.6 < np.std(z) < 1.6
-    assert np.median(lags) > 10  # the residual's colour was seen
-
-
 @pytest.mark.parametrize("noise", NOISES)
 def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
     X, y, labels = segmented(8, n_segments=4)
@@ -402,14 +259,3 @@ def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
     assert renamed.time_constant_s_ == m.time_constant_s_
     assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
     np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
-
-
-def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
-    X, y = clean()
-    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
-    at = np.linspace(0.1, 0.5, 5)
-    for held in (None, TAU_S):
-        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
-        terms = at[:, None] ** np.arange(3)
-        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
-        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from raw_data import INERTIA_PER_M, U_M_S, RawTest, make_test
 
-from classic_ml.coefficients import psi_is_known
 from classic_ml.filters import low_pass
 from classic_ml.flow import LBM_KG
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
@@ -118,34 +117,6 @@ def test_the_work_coefficient_follows_the_temperature_rise() -> None:
     rise = truth["T31"] - truth["T25"] + storage / heat / truth["W25_kg_s"]
     expected = 2 * heat / U_M_S**2 * rise
     assert np.median(np.abs(series.psi[rows] - expected[rows])) < 0.01
-
-
-def test_exit_temperatures_beyond_their_limits_leave_no_psi(made: RawTest) -> None:
-    description = {**made.description, "limits": {"T31_A": [200, 620], "T31_B": [200, 620]}}
-    reduction = reduced(dataclasses.replace(made, description=description))
-    assert reduction.series.psi is None
-    assert "W31_kg_s" not in reduction.record
-    said = [d.why for e in reduction.record.history for d in e.dropped if "ψ" in d.what]
-    assert "no T31 that counts, so no W31" in said
-    kept = reduced(made).series
-    assert kept.psi is not None
-    assert psi_is_known(kept.phi).any()
-
-
-def test_a_record_without_surge_is_refused() -> None:
-    with pytest.raises(InputError, match="no surge in the record"):
-        reduced(make_test(surge=False, seconds=1.0))
-
-
-def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
-    columns = dict(made.columns)
-    columns["P25_A_tip_forward"] = np.full(columns["time_s"].size, 1000.0)
-    columns["P31_B_hub_aft"] = np.where(columns["time_s"] > 1.5, 0.0, columns["P31_B_hub_aft"])
-    one = reduced(dataclasses.replace(made, columns=columns))
-    dropped = [d.what for e in one.record.history for d in e.dropped if "pair" in d.what]
-    assert dropped == ["pair 25_A_tip", "pair 31_B_hub"]
-    assert rms(made, one, "phi") < 0.02
-    assert rms(made, one, "psi_p") < 0.06
 
 
 @pytest.mark.parametrize(

@@ -137,11 +137,3 @@ def test_too_few_errors_have_no_law() -> None:
     row = normality(np.arange(10.0), [slice(0, 10)])
     assert not row.passed
     assert np.isnan(row.statistic)
-
-
-def test_several_inputs_are_checked_one_by_one() -> None:
-    X, y, labels = cycles(5)
-    two = np.column_stack([X, np.random.default_rng(5).standard_normal(y.size)])
-    model = LagRegressor(PERIOD_S, noise="arx", hold="first", degree=2).fit(two, y, labels)
-    names = [row.check for row in residual_checks(model, two, y, labels)]
-    assert names[:4] == ["whiteness", "input_correlation(x0)", "input_correlation(x1)", "normality"]

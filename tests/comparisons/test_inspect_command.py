@@ -183,52 +183,6 @@ def test_what_does_not_fit_the_test_is_reported(
     assert "reduce would refuse it:" in out
 
 
-def test_what_cannot_be_read_is_refused(
-    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    raw, toml = made.write(tmp_path)
-    toml.write_text("[test]\n", "utf-8")
-    (tmp_path / "raw.h5").write_bytes(b"no HDF5")
-    text = raw.read_text("utf-8")
-    (tmp_path / "text.csv").write_text("state,note\non,start\n", "utf-8")
-    (tmp_path / "cut.csv").write_text(text[: len(text) * 2 // 3].rsplit(",", 5)[0], "utf-8")
-    for arguments, words in (
-        ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
-        ([tmp_path / "none.csv"], "no such file"),
-        ([tmp_path / "cut.csv"], "expected 21 values in every row"),
-        ([tmp_path / "text.csv"], "expected columns of numbers, found text alone"),
-        ([raw, "--test", toml], "test.toml: test.name: expected a value"),
-        ([tmp_path / "raw.h5", "--group", "a", "--test", toml], "--group: expected it without"),
-    ):
-        code, out, err = run(capsys, *arguments)
-        assert (code, out) == (2, "")
-        assert words in err
-        assert err.count("\n") == 1
-
-
-def test_a_column_of_text_is_left_aside(tmp_path: Path) -> None:
-    rows = "".join(f"{k / 1000},on,{k**2}\n" for k in range(200))
-    (tmp_path / "raw.csv").write_text("time_s,state,P\n" + rows, "utf-8")
-    found = inspect_file(tmp_path / "raw.csv")
-    assert [channel.name for channel in found.channels] == ["time_s", "P"]
-    assert found.left_aside == {"state": "text"}
-
-
-def test_a_group_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    time_s = np.arange(400) / 100.0
-    with h5py.File(tmp_path / "two.h5", "w") as file:
-        for group, shift in (("one", 0.0), ("two", 5.0)):
-            file[f"{group}/time"] = time_s
-            file[f"{group}/P"] = np.sin(time_s) + shift
-            file[f"{group}/P"].attrs["units"] = "psia"
-    code, _, err = run(capsys, tmp_path / "two.h5")
-    assert code == 2
-    assert "channels in 'one', 'two'" in err
-    code, out, _ = run(capsys, tmp_path / "two.h5", "--group", "two")
-    assert code == 0
-    assert re.search(r"P +psia +4\.\d+ ", out)
-
-
 def filled_in(draft: str, made: RawTest) -> str:
     """The draft with every commented key filled from the description that it is to become."""
     table, lines = "", []
@@ -321,28 +275,6 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     ]
     assert list(found["defaults"]) == ["*25*tip*", "temperature", "*31*hub*"]
     assert "adc" not in found
-
-
-def test_codes_in_names_and_units_on_the_command_line_fill_the_draft(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rng = np.random.default_rng(0)
-    names = ("P25 A TF", "P25 A HA", "T31 B")
-    lines = [",".join(("time_s", *names))]
-    lines += [
-        f"{k * 1e-3!r},{','.join(map(repr, rng.normal(14.0, 0.1, 3).tolist()))}" for k in range(200)
-    ]
-    (tmp_path / "raw.csv").write_text("\n".join(lines), "utf-8")
-    draft = tmp_path / "draft.toml"
-    assert run(capsys, tmp_path / "raw.csv", "--draft", draft, "--units", "psia,degF")[0] == 0
-    found = tomllib.loads(draft.read_text("utf-8"))["channels"]
-    assert [c["unit"] for c in found.values()] == ["psia", "psia", "degF"]
-    one, other, _ = found.values()
-    assert (one["immersion"], one["facing"]) == ("tip", "forward")
-    assert (other["immersion"], other["facing"]) == ("hub", "aft")
-    with pytest.raises(SystemExit):
-        run(capsys, tmp_path / "raw.csv", "--units", "psia,mm")
-    assert "as psia,degF" in capsys.readouterr().err
 
 
 def test_channels_of_another_rate_are_named(

@@ -14,7 +14,7 @@ from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
 from comparisons.cli import main
-from comparisons.harness.methods import PEERS, method_spec
+from comparisons.harness.methods import PEERS
 from comparisons.harness.peers import PlainPysindy, PredictionError
 from sindy_surge import SparseLagRegressor
 
@@ -123,35 +123,16 @@ def test_the_peers_own_tau_and_curve_are_right_without_noise() -> None:
         np.testing.assert_allclose(found, y, atol=0.05 * np.ptp(y))
 
 
-class NoFit:
-    predict = Curve.predict
-
-
-class Breaks(Curve):
-    def fit(self, X: Any, y: Any) -> None:
-        raise ZeroDivisionError("nothing to divide by")
-
-
-class Short(Curve):
-    def predict(self, X: Any) -> Any:
-        return np.zeros(3)
-
-
-class Blank(Curve):
-    def predict(self, X: Any) -> Any:
-        return np.full(len(X), np.nan)
-
-
 @pytest.mark.parametrize(
     ("method", "says"),
     [
         ("nothing", "pysindy, frols"),
         ("no_such_package:Net", "no_such_package"),
         (f"{__name__}:Nothing", "no attribute"),
-        (f"{__name__}:NoFit", "NoFit without fit"),
-        (f"{__name__}:Breaks", "nothing to divide by"),
-        (f"{__name__}:Short", "3 values"),
-        (f"{__name__}:Blank", "NaN"),
+        ("study_methods:NoFit", "NoFit without fit"),
+        ("study_methods:Breaks", "nothing to divide by"),
+        ("study_methods:Short", "3 values"),
+        ("study_methods:Blank", "NaN"),
     ],
 )
 def test_a_method_that_cannot_be_used_is_one_sentence(
@@ -161,11 +142,3 @@ def test_a_method_that_cannot_be_used_is_one_sentence(
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1
-
-
-def test_an_entry_point_is_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    from importlib.metadata import EntryPoint
-
-    point = EntryPoint("ours", f"{__name__}:Curve", "sindy_surge.methods")
-    monkeypatch.setattr("comparisons.harness.methods.entry_points", lambda group: (point,))
-    assert method_spec("ours").name == "ours"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import io
 import re
 
@@ -20,7 +19,6 @@ from comparisons.page.blocks import Picture
 from comparisons.page.style import broken, robust_limits
 from comparisons.results import Truth
 from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
-from surge_core.errors import InputError
 
 RATE_HZ = 1000.0
 HOSTILE = "p$25_{x}^2 \\frac \U0001f4a5 漢字 <b>"
@@ -76,14 +74,6 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
     assert pictures[0].uri == pictures[0].uri
 
 
-def test_flow_is_also_given_in_pounds(reduction: Reduction) -> None:
-    whole = plots_record.operating_points(reduction).figure.axes[0]
-    (secondary,) = whole.child_axes
-    whole.figure.draw_without_rendering()
-    ratio = np.asarray(whole.get_xlim()) / np.asarray(secondary.get_xlim())  # type: ignore[attr-defined]
-    assert ratio == pytest.approx(0.45359237)
-
-
 def test_the_truth_is_drawn_where_it_is_known_and_said() -> None:
     comparison = made_comparison()
     phi = np.linspace(-1.0, 2.0, 400)
@@ -94,11 +84,6 @@ def test_the_truth_is_drawn_where_it_is_known_and_said() -> None:
     assert np.asarray(line.get_xdata()).max() <= comparison.rows.phi.max()
     low, high = (0.3 + 1.2 * end for end in comparison.valid_phi)
     assert picture.alt.rstrip(".").endswith(f"truth {low:#.3g} and {high:#.3g}")
-
-
-def test_a_missing_work_coefficient_is_refused() -> None:
-    with pytest.raises(InputError, match="a column psi"):
-        plots_series.loops(made_series(), "psi")
 
 
 def test_limits_leave_out_a_stray_row_and_survive_nothing() -> None:
@@ -115,56 +100,3 @@ def test_a_cycle_takes_as_long_as_it_was_made(surge_hz: float) -> None:
     words = plots_record.cycle_words(swinging(0.02, surge_hz=surge_hz).psi_p, RATE_HZ)
     period = float(found_in(r"A cycle takes ([\d.]+) ms", words).group(1))
     assert period == pytest.approx(1e3 / surge_hz, rel=0.01)
-
-
-def test_the_words_on_a_reduction_are_its_own_numbers(reduction: Reduction) -> None:
-    record = reduction.record
-    keep = (record.time_s >= reduction.window_s[0]) & (record.time_s <= reduction.window_s[1])
-    flow = record["Wc25_kg_s"][keep]
-    cycles = plots_record.surge_cycles(reduction).alt
-    points = plots_record.operating_points(reduction).alt
-    for words in (points, cycles):
-        ends = re.findall(r"flow (-?[\d.]+) to (-?[\d.]+) kg/s", words)[-1]
-        assert [float(end) for end in ends] == pytest.approx([flow.min(), flow.max()], rel=0.01)
-    crossings = np.count_nonzero(np.diff(np.sign(flow - flow.mean())) > 0)
-    window_ms = 1e3 * (reduction.window_s[1] - reduction.window_s[0])
-    period_ms = float(found_in(r"A cycle takes ([\d.]+) ms", cycles).group(1))
-    assert period_ms == pytest.approx(window_ms / crossings, rel=0.1)
-    for place in ("tip", "hub"):
-        share = 100.0 * np.mean(record[f"Wc25_{place}_kg_s"][keep] < 0.0)
-        reversed_share = found_in(
-            rf"{place} probes -?[\d.]+ to [^;]*reversed (\d+) %", points
-        ).group(1)
-        assert float(reversed_share) == pytest.approx(share, abs=0.51)
-
-
-def test_the_words_on_a_comparison_are_its_errors() -> None:
-    fit = made_comparison()
-    rows = fit.rows
-    for words, part in (
-        (plots_residuals.errors_in_time(fit).alt, "reconstruction"),
-        (plots_fit.reconstruction(fit).alt, "trained"),
-    ):
-        for result in fit.results:
-            error = rows.measured - getattr(result, part)
-            rms = float(np.sqrt(np.mean(error**2)))
-            assert numbers(words.split(result.label, 1)[1])[0] == pytest.approx(rms, rel=0.06)
-
-
-def test_a_refused_fit_is_described_without_numbers() -> None:
-    fit = made_comparison()
-    lost = np.full(fit.rows.phi.size, np.nan)
-    refused = dataclasses.replace(fit.results[0], reconstruction=lost, trained=lost)
-    fit = dataclasses.replace(fit, results=(refused, *fit.results[1:]))
-    with np.errstate(invalid="ignore"):
-        for picture in (plots_residuals.errors_in_time(fit), plots_fit.reconstruction(fit)):
-            assert "nan" not in picture.alt
-    assert "n/a" in plots_fit.reconstruction(fit).alt
-
-
-def test_a_validation_says_how_far_phi_went_beyond() -> None:
-    model = made_comparison().results[0].model
-    run = reconstruct_record(model, made_series(5, "other.csv"))
-    words = plots_fit.validation((run,)).alt
-    assert f"In {100.0 * run.outside:.0f} % of the rows" in words
-    assert numbers(words.split("rms", 1)[1])[0] == pytest.approx(run.score.rms, rel=0.06)

@@ -31,12 +31,3 @@ def test_nothing_is_drawn_into_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = put(monkeypatch, io.StringIO())
     assert work() == ["a", "b", "c"]
     assert pipe.getvalue() == ""
-
-
-def test_the_stages_of_the_demo_are_lines_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
-    pipe = put(monkeypatch, io.StringIO())
-    with shown_steps(2, lines=True) as begin:
-        begin("reading")
-        assert pipe.getvalue() == "[1/2] reading\n"
-        begin("fitting")
-    assert pipe.getvalue() == "[1/2] reading\n[2/2] fitting\n"

@@ -123,32 +123,6 @@ def test_the_numbers_are_there_rounded_to_their_uncertainty(html: str) -> None:
     assert "τ off by +12.1 ms (9.7 of its standard errors)" in text
 
 
-def test_the_low_pass_is_warned_of_before_the_table(html: str) -> None:
-    text = Page(html).text
-    assert text.index("known to come out high") < text.index("0.0025 ± 0.0011")
-    assert "P25_A: 40 rows clipped" in text
-
-
-def test_a_work_coefficient_that_is_not_known_is_said_so() -> None:
-    why = Dropped("ψ", 9, f"no W31 {EVIL}")
-    history = (LedgerEntry("work coefficient", "ψ is not known", {}, (why,)),)
-    fit = made_comparison(made_series(history=history))
-    text = Page(render_report([ReportSection("x", fit)], title="x", command="x")).text
-    assert f"ψ is not known: no W31 {EVIL}" in text
-
-
-def test_the_ledger_says_what_was_dropped_even_when_nothing_was(
-    html: str, reduction: Reduction
-) -> None:
-    text = Page(html).text
-    for entry in reduction.record.history:
-        assert re.sub(r"\s+", " ", entry.did) in text
-    assert text.count("nothing dropped") >= sum(not e.dropped for e in reduction.record.history)
-    assert "rows (120): outside the window" in text
-    assert "T31_B: 3 rows clipped" in text
-    assert "cutoff_hz = 48" in text
-
-
 def test_what_files_and_ledgers_say_is_text() -> None:
     entry = LedgerEntry(EVIL, EVIL, {EVIL: EVIL}, (Dropped(EVIL, 1, EVIL),), (EVIL,))
     comparison = made_comparison(
@@ -171,20 +145,6 @@ def test_what_files_and_ledgers_say_is_text() -> None:
     assert page.texts.count(EVIL) > 5  # it is shown, as it stands
 
 
-def test_a_reduction_or_a_validation_alone_is_a_report_too(reduction: Reduction) -> None:
-    model = made_comparison().results[0].model
-    sections = [
-        ReportSection("reduction", reduction=reduction),
-        ReportSection(
-            "validation", validation=(reconstruct_record(model, made_series(3, "v.csv")),)
-        ),
-    ]
-    html = render_report(sections, title="x", command="x")
-    assert len(Page(html).all("img")) == 3
-    assert "Reconstruction validation" in html
-    assert "of v.csv" in html
-
-
 def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
     row = html.split('<tr class="best">', 1)[1].split("</tr>", 1)[0]
     assert "<small>sindy</small>" in row
@@ -195,16 +155,6 @@ def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
     page = render_report([ReportSection("x", none)], title="x", command="x")
     assert '<tr class="best">' not in page
     assert "none to quote" in Page(page).text
-
-
-def test_a_series_alone_is_drawn_as_loops_and_of_many_the_first() -> None:
-    records = [made_series(i, f"r{i}.csv", n=600, n_segments=2) for i in range(6)]
-    page = Page(
-        render_report([ReportSection("x", made_comparison(*records))], title="x", command="x")
-    )
-    assert "ψ' over φ, r0.csv" in page.text
-    assert "The first 4 of 6 records are drawn" in page.text
-    assert "r5.csv" in page.text  # its ledger is printed all the same
 
 
 def test_pictures_tables_and_the_curve_can_be_taken_away(tmp_path: Path) -> None:

@@ -9,12 +9,9 @@ import pytest
 from comparison_data import made_comparison, made_series
 from made_diagnosis import VERDICTS, made_diagnosis
 from made_pages import EVIL
-from made_systems import machine
 from made_systems import made_diagnosis as made_system
 
-from comparisons.missing_effect.extended_refit import value_of
 from comparisons.results import COLUMNS, Caution
-from comparisons.study.comparison import compare_methods
 from surge_core.rounding import bracketed
 
 
@@ -56,23 +53,6 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
         assert " or ".join(item.alias_labels[:2]) in text
 
 
-def test_a_lag_model_with_effects_shows_their_numbers_with_units() -> None:
-    model = value_of(made_diagnosis("alias_set"))
-    text, _ = shown(model)
-    assert "transport_delay" in text
-    (added,) = model.effects
-    assert "φ(t − d)" in text
-    assert f"{1e3 * added.values[0]:.1f}" in text
-    assert "ms" in text
-    assert "coefficient ± std error" in text
-
-
-def test_a_model_of_a_users_own_shows_signals_and_parameters_with_units() -> None:
-    text, _ = shown(machine(EVIL))
-    for told in ("q [m]", "v [m/s]", "strain [-]", "0.1 to 2", "N·s/m", "input"):
-        assert told in text
-
-
 @pytest.mark.parametrize("nothing", [True, False])
 def test_a_diagnosis_of_a_users_model_shows_every_record(nothing: bool) -> None:
     d = made_system(name=EVIL, runs={f"a{EVIL}": "training", "b": "check"}, nothing=nothing)
@@ -86,26 +66,3 @@ def test_a_diagnosis_of_a_users_model_shows_every_record(nothing: bool) -> None:
         assert item.equation in text
     assert ("before" in html) == (not nothing)
     assert "at its bound" in text
-
-
-def test_methods_of_a_study_are_shown_with_errors_and_units() -> None:
-    import pandas as pd
-
-    rows = [
-        {
-            "record": f"r{k}",
-            "reduction": "d",
-            "method": name,
-            "state": "ok",
-            "reason": "",
-            "tau_error_ms": 5.0 + place + 0.1 * k * (-1) ** (k + place),
-        }
-        for k in range(8)
-        for place, name in enumerate(("mine", EVIL))
-    ]
-    table = pd.DataFrame(rows)
-    (group,) = compare_methods(table, "tau_error_ms")
-    text, html = shown(group)
-    assert "[ms]" in text
-    assert "±" in text
-    assert html.count('class="chosen"') == 1

@@ -103,20 +103,6 @@ def test_the_path_and_the_candidates_hold_the_choice(written: Path) -> None:
     assert set(found["inclusion_probability"]) <= set(found["candidates"])
 
 
-def test_two_late_samples_are_a_dead_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "late.csv"
-    series_table(late=2).to_csv(file, index=False)
-    found = numbers(tmp_path, file, "--bootstrap", 0)
-    dead, tau = found["dead_time_s"], found["time_constant_s"]
-    assert abs(dead["value"] - 2 * PERIOD_S) < 4 * dead["stderr"] < PERIOD_S
-    assert abs(tau["value"] - TAU_S) < 4 * tau["stderr"]
-    assert found["inclusion_probability"] == {}
-    assert found["terms"][0]["inclusion_probability"] is None
-    assert "later than φ" in capsys.readouterr().out
-
-
 def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

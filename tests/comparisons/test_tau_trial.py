@@ -61,12 +61,6 @@ def test_rows_that_do_not_count_are_simulated_through() -> None:
     assert trial.best_tau_s == pytest.approx(TAU_S, rel=0.03)
 
 
-def test_where_the_values_end_the_interval_ends() -> None:
-    trial = trial_over(rows_of(3), [0.03, 0.04, 0.05])
-    assert trial.best_tau_s == 0.03
-    assert trial.interval_s[0] == 0.03
-
-
 @pytest.mark.parametrize("text", ["0.018", "18ms", " 18 ms ", "1.8e-2s", "18000us"])
 def test_a_time_constant_is_read_in_seconds_or_with_its_unit(text: str) -> None:
     assert time_constant(text) == pytest.approx(0.018)

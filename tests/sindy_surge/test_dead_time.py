@@ -45,12 +45,9 @@ def test_late_channel_is_found_with_its_structure(curve: str, noise: float, samp
     assert any("later than" in caution for caution in model.cautions_)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize("curve", list(CURVES))
-def test_no_delay_is_seen_where_there_is_none(
-    surge: Callable[..., Any], curve: str, noise: float
-) -> None:
-    record = surge(curve, noise, 4)
+def test_no_delay_is_seen_where_there_is_none(surge: Callable[..., Any], curve: str) -> None:
+    record = surge(curve, 0.05, 4)
     model = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
     assert model.dead_time_s_ == 0.0
     assert set(model.terms_) == set(TERMS[curve])

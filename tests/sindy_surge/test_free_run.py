@@ -11,15 +11,6 @@ from surge_core.lag import FirstOrderLag
 PERIOD_S = 1e-3
 
 
-@pytest.mark.parametrize("hold", ["first", "zero"])
-@pytest.mark.parametrize("tau_s", [1e-6, 3e-4, 0.018, 1.0, 100.0])
-def test_constant_input_is_a_fixed_point(hold: str, tau_s: float) -> None:
-    whole = Segments.from_labels(None, 50)
-    lag = FirstOrderLag(tau_s, PERIOD_S, hold)  # type: ignore[arg-type]
-    states = simulate(np.full(50, 0.42), whole, lag, np.array([0.42]))
-    np.testing.assert_allclose(states, 0.42, rtol=1e-12)
-
-
 def test_segments_run_alone() -> None:
     forcing = np.random.default_rng(1).standard_normal(60)
     runs = Segments.from_labels(np.repeat([4, 2, 4], [10, 1, 49]), 60)

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sindy_surge import FitState, InputError, SparseLagRegressor
-from sindy_surge.summary import ModelSummary, interval95
+from sindy_surge import InputError
+from sindy_surge.summary import interval95
 from sindy_surge.text import (
     EquationParts,
     pysindy_equations,
     rate_of,
-    uncertain,
     write_equation,
 )
 
@@ -36,20 +35,6 @@ def test_text_carries_units_signs_and_the_errors() -> None:
     assert text.startswith("0.01800(20) s · dψ'/dt + ψ' = 0.350(4) + 1.200(30) φ − 1.90(5) φ²")
     late = with_terms(("phi",), dead_time_s=0.002, dead_time_stderr_s=0.0001)
     assert "φ at t − 0.00200(10) s" in write_equation(late)
-
-
-@pytest.mark.parametrize(
-    ("value", "stderr", "text"),
-    [
-        (1.2049, 0.0412, "1.20(4)"),
-        (30.12, 1.2, "30.1(1.2)"),
-        (1.2e-8, 3e-10, "1.200(30)e-08"),
-        (0.25, 0.0, "0.25"),
-        (0.25, math.nan, "0.25"),
-    ],
-)
-def test_values_are_rounded_to_their_error(value: float, stderr: float, text: str) -> None:
-    assert uncertain(value, stderr) == text
 
 
 def test_pysindy_strings_are_those_of_the_rate() -> None:
@@ -84,25 +69,3 @@ def test_interval_covers_as_often_as_it_says() -> None:
     assert 0.93 < inside / 2000 < 0.97
     assert interval95(0.001, 0.002, positive=True)[0] == 0.0
     assert all(map(math.isnan, interval95(1.0, math.nan)))
-
-
-def test_sheet_states_the_fields_and_escapes_them() -> None:
-    summary = ModelSummary(with_terms(("<b>",)), FitState.OK, rivals=[("phi",)])
-    sheet = summary.sheet()
-    fields = {field.label: field.lines for field in sheet.fields}
-    assert fields["rivals"] == ("the data cannot tell from it:", "φ")
-    assert "<b>" not in sheet.html()
-    assert "<b>" in sheet.text()
-
-
-def test_an_estimator_shows_its_sheet_once_it_is_fitted(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    model = SparseLagRegressor()
-    assert str(model) == "SparseLagRegressor()"
-    phi = np.linspace(0.0, 0.3, 9)
-    model.fit(phi[:, None], 0.3 + phi)
-    assert "too_few_rows" in str(model)
-    model.print()
-    assert capsys.readouterr().out == model.equation() + "\n"
-    assert model._repr_html_().startswith('<div class="sindy-surge">')

@@ -9,15 +9,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from raw_data import make_test
+from rig_records import rig_record
 
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, FloatArray, Record
-from comparisons.rig import CASES, simulate, write_run
+from comparisons.rig import CASES
 
 __all__ = ["CLEAN", "INDEPENDENT", "SURGES", "clean_record", "rows_of", "with_channels"]
 
@@ -48,9 +48,7 @@ def _loaded(name: str) -> tuple[Record, TestDescription]:
         made = make_test(seed=int(seed), seconds=3.0, noise_counts=float(noise), cells_lbm_s=cells)
         return made.load()
     case, seed = name.split("/")
-    with TemporaryDirectory() as folder:
-        write_run(simulate(case, seed=int(seed)), Path(folder) / "run")
-        return read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")
+    return rig_record(case, int(seed))
 
 
 def with_channels(

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import find_effect
@@ -233,14 +232,3 @@ class Told:
     def to_json(self) -> dict[str, list[str]]:
         """The lines."""
         return {"lines": list(self.lines)}
-
-
-def swept(phi: FloatArray) -> FloatArray:
-    """ψ'_QS of the made records.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    """
-    return BETA[0] + BETA[1] * phi + BETA[2] * phi**2

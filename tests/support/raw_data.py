@@ -116,8 +116,6 @@ def make_test(
     cells_lbm_s: float = 0.0,
     noise_counts: float = 0.0,
     quantise: bool = True,
-    hub_tip_lbm_s: float = 8.0,
-    bias_Pa: float = 0.0,
     lag_thermocouples: bool = False,
 ) -> RawTest:
     rng = np.random.default_rng(seed)
@@ -129,7 +127,7 @@ def make_test(
         for rake in "AB":
             for immersion in ("tip", "hub"):
                 sign = 1.0 if immersion == "hub" else -1.0
-                shift = waves["after"] * (waves["flow"] < 50) * hub_tip_lbm_s
+                shift = waves["after"] * (waves["flow"] < 50) * 8.0
                 cells = waves["after"] * cells_lbm_s * np.sin(2 * np.pi * CELL_HZ * time_s)
                 flow = waves["flow"] + (sign * shift + cells) * (plane == 25)
                 if plane == 31:
@@ -146,7 +144,7 @@ def make_test(
                     table = pressure_table(plane, rake, immersion, facing, slope, offset, rng)
                     channels[name] = table
                     columns[name] = to_counts(
-                        pressure + bias_Pa * (facing == "forward"),
+                        pressure,
                         table,
                         rng,
                         noise_counts,

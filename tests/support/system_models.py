@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,9 @@ PERIOD_S = {
 }
 
 
-def thermal(**changes: Any) -> Model:
-    """Heater and body."""
-    given: dict[str, Any] = {
+GIVEN: dict[str, dict[str, Any]] = {
+    # Heater and body.
+    "thermal": {
         "states": {"hot": "K", "mild": "K"},
         "inputs": {"P": "W"},
         "outputs": {"T_h": "K", "T_b": "K"},
@@ -44,13 +45,9 @@ def thermal(**changes: Any) -> Model:
         ),
         "output": lambda t, x, u, p: (x.hot, x.mild),
         "name": "heater",
-    }
-    return Model(**{**given, **changes})
-
-
-def tanks(**changes: Any) -> Model:
-    """Two tanks."""
-    given: dict[str, Any] = {
+    },
+    # Two tanks.
+    "tanks": {
         "states": {"upper": "dm", "lower": "dm"},
         "inputs": {"q": "dm³/s"},
         "outputs": {"h_1": "dm", "h_2": "dm"},
@@ -66,13 +63,9 @@ def tanks(**changes: Any) -> Model:
         ),
         "output": lambda t, x, u, p: (x.upper, x.lower),
         "name": "tanks",
-    }
-    return Model(**{**given, **changes})
-
-
-def pipe(**changes: Any) -> Model:
-    """A pipe between a pump and a vessel."""
-    given: dict[str, Any] = {
+    },
+    # A pipe between a pump and a vessel.
+    "pipe": {
         "states": {"flow": "dm³/s", "back": "kPa"},
         "inputs": {"p": "kPa"},
         "outputs": {"Q": "dm³/s"},
@@ -89,13 +82,9 @@ def pipe(**changes: Any) -> Model:
         "output": lambda t, x, u, p: x.flow,
         "balance": {"flow": ("I", "kPa")},
         "name": "pipe",
-    }
-    return Model(**{**given, **changes})
-
-
-def circuit(**changes: Any) -> Model:
-    """A series circuit."""
-    given: dict[str, Any] = {
+    },
+    # A series circuit.
+    "circuit": {
         "states": {"current": "A", "v_C": "V"},
         "inputs": {"v": "V"},
         "outputs": {"i": "A"},
@@ -110,13 +99,9 @@ def circuit(**changes: Any) -> Model:
         ),
         "output": lambda t, x, u, p: x.current,
         "name": "circuit",
-    }
-    return Model(**{**given, **changes})
-
-
-def body(**changes: Any) -> Model:
-    """A body on a spring."""
-    given: dict[str, Any] = {
+    },
+    # A body on a spring.
+    "body": {
         "states": {"at": "m", "speed": "m/s"},
         "inputs": {"F": "N"},
         "outputs": {"q": "m"},
@@ -130,8 +115,21 @@ def body(**changes: Any) -> Model:
         "exact": ("at",),
         "balance": {"speed": ("M", "N")},
         "name": "body",
-    }
-    return Model(**{**given, **changes})
+    },
+}
+
+
+@cache
+def _plain(kind: str) -> Model:
+    return Model(**GIVEN[kind])
+
+
+def _made(kind: str, **changes: Any) -> Model:
+    """A model of one of the systems; that without changes is made, and compiled, once."""
+    return Model(**{**GIVEN[kind], **changes}) if changes else _plain(kind)
+
+
+thermal, tanks, pipe, circuit, body = (partial(_made, kind) for kind in GIVEN)
 
 
 def experiment(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
+from rig_records import rig_run, through_files
 
-from classic_ml.io import TestDescription, read_raw
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
-from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
+from comparisons.rig import CASES, RigRun, SensorSettings
 from comparisons.total_system import (
     Measured,
     TotalSystemModel,
@@ -27,11 +26,8 @@ TRUE_TAU_S = 0.018
 def ideal(case: str) -> tuple[RigRun, Record, TestDescription]:
     """Two seconds of the rig with sensors that hide nothing, but for a little noise."""
     sensors = replace(SensorSettings.ideal(), noise_percent=0.02, thermocouple_noise_k=0.05)
-    run = simulate(case, seed=3, duration_s=2.0, sensors=sensors)
-    with TemporaryDirectory() as folder:
-        write_run(run, Path(folder) / "run")
-        record, test = read_raw(Path(folder) / "run/raw.csv", Path(folder) / "run/test.toml")
-    return run, record, test
+    run = rig_run(case, 3, duration_s=2.0, sensors=sensors)
+    return run, *through_files(run)
 
 
 @cache

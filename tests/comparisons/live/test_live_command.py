@@ -98,18 +98,6 @@ def live(record: LiveRecord, *options: str) -> list[str]:
     return ["live", "-", "--test", str(record.test_path), "--quiet", *options]
 
 
-def test_the_options_of_a_reduction_are_those_of_reduce(
-    record: LiveRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options = ["--phase", "causal", "--cutoff", "40"]
-    reduce = ["reduce", str(record.raw), "--test", str(record.test_path)]
-    assert main([*reduce, "-o", str(tmp_path / "reduced.csv"), *options]) == 0
-    with record.raw.open() as stream:
-        monkeypatch.setattr(sys, "stdin", stream)
-        assert main(live(record, "-o", str(tmp_path / "live.csv"), *options)) == 0
-    assert (tmp_path / "live.csv").read_bytes() == (tmp_path / "reduced.csv").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

@@ -11,7 +11,6 @@ from effect_data import CUBIC, hidden, series_of, without_channels
 from comparisons.missing_effect import CATALOGUE, Effect, find_effect
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
 
@@ -143,14 +142,3 @@ def test_channels_that_are_not_there_or_stand_still() -> None:
             assert str(effect.missing_channel(still)).endswith("Nc_frac that changes")
         else:
             assert effect.missing_channel(bare) is None
-
-
-def test_open_terms_take_no_name_of_the_catalogue(data: LagData) -> None:
-    terms = open_terms(data)
-    names = [term.name for term in terms]
-    assert len(set(names)) == len(names)
-    assert not set(names) & set(PORTS)
-    assert all(term.unnamed and term.linear for term in terms)
-    assert any(name.startswith("n*") for name in names)
-    speedless = replace(data, signals={k: v for k, v in data.signals.items() if k != "Nc_frac"})
-    assert not any(term.name.startswith("n*") for term in open_terms(speedless))

@@ -6,9 +6,7 @@ what finds the effect again.
 
 from __future__ import annotations
 
-import html
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -101,13 +99,6 @@ def test_the_saved_model_simulates_the_records(branch: Case) -> None:
     record = read_series(branch.paths[2])
     left = (model.simulate(record) - record.psi_p)[200:]
     assert float(np.sqrt(np.mean(left**2))) < 1.1 * branch.test.sigma
-
-
-def test_the_report_holds_the_words_and_asks_the_network_for_nothing(branch: Case) -> None:
-    page = branch.page.read_text("utf-8")
-    assert len(re.findall(r'src="data:image/png;base64,([^"]*)"', page)) == 1
-    assert "http" not in re.sub(r"<meta http-equiv[^>]*>", "", page)
-    assert branch.document["words"] in html.unescape(page)
 
 
 def test_a_delay_comes_out_as_an_alias_set_on_a_discovered_base(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_data import CUBIC, hidden, series_of
+from effect_data import hidden, series_of
 from scipy.linalg import cholesky, solve_triangular
 from scipy.signal import lfilter
 
@@ -12,7 +12,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import FlowNoise, Metric
 from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
-from comparisons.missing_effect.structure import Structure
 
 Array = np.ndarray
 SIGMA = 0.002
@@ -218,14 +217,3 @@ def test_runs_start_afresh(data: LagData) -> None:
     ):
         one, other = metric.whitened(errors, data), metric.whitened(changed, data)
         assert np.array_equal(one[first.stop :], other[first.stop :])
-
-
-def test_the_slope_of_a_made_characteristic() -> None:
-    """The base structure's slope is what noise on φ is multiplied by."""
-    from comparisons.missing_effect.candidates import slope_of
-    from comparisons.missing_effect.fit import Fit
-
-    rows = load_data(series_of(hidden(None, seed=6, n_samples=300)))
-    beta = np.array([0.3, 1.2, 1.0, -3.0])
-    found = slope_of(Fit(Structure(CUBIC), np.log([TAU_S]), beta, 0.0), rows)
-    assert np.allclose(found, slope_at(rows), atol=1e-6)

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, find_effect
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.kernels import lag_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
@@ -279,25 +278,6 @@ def test_second_order_is_the_integral_of_its_equation(
     assert off_by(plain_truth[: truth.size], truth) > 1e-2
 
 
-def test_a_bump_lies_in_the_span_of_the_free_characteristic(
-    data: LagData, plain_truth: Array
-) -> None:
-    def bump(phi: Array) -> Array:
-        return 0.03 * np.exp(-0.5 * ((phi - 0.2) / 0.07) ** 2)
-
-    low, high = data.phi_range
-    grid = np.linspace(low, high, 800)
-    columns = np.column_stack(
-        [np.vander(grid, 4, increasing=True), shape_columns(grid, (low, high), 20, 4)]
-    )
-    near = np.linalg.lstsq(columns, bump(grid), rcond=None)[0]
-    found = simulated("characteristic_shape", (20.0, low, high), near[4:], data)
-    found += Structure(CUBIC).output(data, PLAIN, near[:4])
-    truth = integrated(lambda t: plain_target(t) + bump(flow(t)))
-    assert off_by(found, truth) < 1e-3
-    assert off_by(plain_truth, truth) > 1e-2
-
-
 def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_truth: Array) -> None:
     rng = np.random.default_rng(3)
     stalled = flow(TIME_S) < 0.18
@@ -323,11 +303,6 @@ def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_tr
     assert off_by(plain_truth, truth) > 1e-2
 
 
-def test_a_lag_of_no_time_is_the_characteristic(data: LagData) -> None:
-    found = Structure(CUBIC).output(data, np.array([np.log(1e-5)]), BETA)
-    assert np.allclose(found, steady(flow(TIME_S)), atol=2e-5)
-
-
 def test_a_finer_sample_brings_the_model_to_its_equation() -> None:
     errors = []
     for period_s in (0.04, 0.02, 0.01):
@@ -350,19 +325,6 @@ def test_what_is_left_of_a_start_falls_with_the_integral_of_one_over_tau(data: L
     expected = np.exp(-np.interp(TIME_S[:51], fine, integral))
     assert np.allclose(decay[:51], expected, atol=5e-3)
     assert not np.allclose(decay[:51], np.exp(-TIME_S[:51] / TAU_S), atol=5e-2)
-
-
-def test_over_and_underdamped_join_at_the_critical_damping(data: LagData) -> None:
-    critical = 0.25 * TAU_S**2
-    settled = TIME_S > SETTLED_S
-    gaps = []
-    for share in (1e-2, 1e-4, 1e-6):
-        below = simulated("second_order_lag", (critical * (1.0 - share),), NONE, data)
-        above = simulated("second_order_lag", (critical * (1.0 + share),), NONE, data)
-        gaps.append(float(np.max(np.abs(above - below)[settled])))
-    # No jump but that of two ways of joining inputs by straight lines.
-    assert gaps[1] < 0.05 * gaps[0]
-    assert gaps[2] < 1e-4 * np.std(below[settled])
 
 
 def test_runs_do_not_know_of_each_other() -> None:
@@ -401,15 +363,6 @@ def test_a_wrong_start_leaves_no_trace(data: LagData) -> None:
         assert np.allclose(with_start, metric.seen(errors, decay, two), atol=1e-10)
     once = projected(errors[:, None], decay, two)
     assert np.allclose(projected(once, decay, two), once)
-
-
-def test_the_slope_of_tau_is_the_derivative(data: LagData) -> None:
-    structure = Structure(CUBIC)
-    slope = structure.slopes(data, PLAIN, BETA, [0])[:, 0]
-    ahead = structure.output(data, PLAIN + 1e-3, BETA)
-    behind = structure.output(data, PLAIN - 1e-3, BETA)
-    central = (ahead - behind) / 2e-3
-    assert np.linalg.norm(slope - central) < 1e-3 * np.linalg.norm(central)
 
 
 def test_several_effects_act_at_their_ports_together(data: LagData) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rig_records import rig_run
 
 from comparisons.cli import main
 from comparisons.rig import (
@@ -31,7 +30,6 @@ from comparisons.rig.hidden import (
 )
 from surge_core.errors import InputError
 
-Runs = Callable[[str], RigRun]
 Array = np.ndarray
 
 IN_THE_PLANT = (
@@ -44,23 +42,10 @@ IN_THE_PLANT = (
     "flow_dependent_lag",
 )
 IN_THE_SENSORS = tuple(name for name in HIDEABLE if name not in IN_THE_PLANT)
-CELL_S = 1.0 / CASES["985"].cell_frequency_hz
 
 
-@cache
-def short_run() -> RigRun:
-    """Stall, reversal and the first cycle, with nothing hidden."""
-    return simulate("985", duration_s=0.6)
-
-
-@cache
-def hidden_run(name: str, case: str = "985") -> RigRun:
-    return simulate(case, hide=name)
-
-
-@cache
 def ideal_hidden(name: str, size: float | None = None) -> RigRun:
-    return simulate("985", sensors=SensorSettings.ideal(), hide=name, hide_size=size)
+    return rig_run("985", sensors=SensorSettings.ideal(), hide=name, hide_size=size)
 
 
 def rms(values: Array) -> float:
@@ -90,7 +75,7 @@ def in_stall(run: RigRun) -> Array:
 
 @pytest.mark.parametrize("name", ["flow_inertia", "facility_heating", "bias_drift", "hysteresis"])
 def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) -> None:
-    plain, neutral = short_run(), getattr(UNTOUCHED, name)
+    plain, neutral = rig_run("985", duration_s=0.6), getattr(UNTOUCHED, name)
     # Digits that no channel shows by chance.
     size = neutral + 0.437_291 * (HIDEABLE[name].default - neutral)
     run = simulate("985", duration_s=0.6, hide=name, hide_size=size)
@@ -115,13 +100,15 @@ def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", IN_THE_SENSORS)
-def test_a_sensor_leaves_the_plant_alone(name: str, default_run: Runs) -> None:
+def test_a_sensor_leaves_the_plant_alone(name: str) -> None:
     for channel in ("phi", "psi_p", "P31_Pa", "T25_K"):
-        assert np.array_equal(hidden_run(name).truth[channel], default_run("985").truth[channel])
+        assert np.array_equal(
+            rig_run("985", hide=name).truth[channel], rig_run("985").truth[channel]
+        )
     moved = {
         channel
-        for channel in default_run("985").raw.channels
-        if not np.array_equal(hidden_run(name).raw[channel], default_run("985").raw[channel])
+        for channel in rig_run("985").raw.channels
+        if not np.array_equal(rig_run("985", hide=name).raw[channel], rig_run("985").raw[channel])
     }
     expected = {
         "flow_inertia": (),
@@ -201,13 +188,13 @@ def test_wake_noise_is_on_the_flow_and_not_on_the_total_pressure() -> None:
 
 
 def test_heat_soak_lowers_the_whole_characteristic() -> None:
-    run = hidden_run("facility_heating")
+    run = rig_run("985", hide="facility_heating")
     kept = 1.0 - 0.12 * (1.0 - np.exp(-run.truth.time_s / HEAT_SOAK_S))
     assert run.truth["psi_p_qs"] == pytest.approx(kept * nominal_psi_p_qs(run)[1], rel=1e-9)
 
 
 def test_speed_scales_the_stalled_characteristic() -> None:
-    run = hidden_run("speed_droop")
+    run = rig_run("985", hide="speed_droop")
     rows = in_stall(run)
     speed = run.truth["Nc_frac"] / (SETTLED_SPEED_FRAC * CASES["985"].corrected_speed_frac)
     ratio = (run.truth["psi_p_qs"] / nominal_psi_p_qs(run)[0])[rows]
@@ -218,7 +205,7 @@ def test_speed_scales_the_stalled_characteristic() -> None:
 
 
 def test_deep_stall_holds_until_the_flow_is_back() -> None:
-    run = hidden_run("hysteresis")
+    run = rig_run("985", hide="hysteresis")
     phi, deep, state = run.truth["phi"], [], 0.0
     for value in phi:
         state = 1.0 if value < BRANCH_PHIS[0] else 0.0 if value > BRANCH_PHIS[1] else state
@@ -234,7 +221,7 @@ def test_deep_stall_holds_until_the_flow_is_back() -> None:
 
 @pytest.mark.parametrize("case", ["985", "90"])
 def test_the_loss_in_reverse_has_the_changed_size(case: str) -> None:
-    run = hidden_run("reverse_flow_branch", case)
+    run = rig_run(case, hide="reverse_flow_branch")
     loss = run.truth["psi_p"] - run.truth["psi_p_lagged"]
     calm = (run.truth["W25_kg_s"] < 0.0) & (np.abs(run.truth["dW25_kg_s2"]) < 30.0)
     expected = 2.5 * CASES[case].reverse_loss * run.truth["phi"] ** 2
@@ -242,12 +229,12 @@ def test_the_loss_in_reverse_has_the_changed_size(case: str) -> None:
     assert loss[calm] == pytest.approx(expected[calm], rel=0.02)
     assert run.truth_parameters["reverse_loss"] == CASES[case].reverse_loss
     # Reversed flow meets more, and goes less deep.
-    plain = simulate(case).truth["phi"]
+    plain = rig_run(case).truth["phi"]
     assert run.truth["phi"][1_500:].min() > 0.85 * plain[1_500:].min()
 
 
 def test_the_characteristic_has_a_bell() -> None:
-    run = hidden_run("characteristic_shape")
+    run = rig_run("985", hide="characteristic_shape")
     rows = in_stall(run) & (run.truth["phi"] < 0.15)
     bell = (run.truth["psi_p_qs"] - nominal_psi_p_qs(run)[0])[rows]
     phi = run.truth["phi"][rows]
@@ -258,7 +245,7 @@ def test_the_characteristic_has_a_bell() -> None:
 
 def test_two_time_constants_by_the_way_of_the_flow_and_by_its_size() -> None:
     for name, split in (("asymmetric_lag", "way"), ("flow_dependent_lag", "size")):
-        run = hidden_run(name)
+        run = rig_run("985", hide=name)
         truth = run.truth
         state, tau_s = truth["psi_p_lagged"], CASES["985"].tau_s
         rate = np.gradient(state, 1e-3)

@@ -1,17 +1,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rig_records import rig_run
 
-from comparisons.rig import CASES, RigRun, simulate, write_run
+from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 from surge_core.errors import InputError
 
-Runs = Callable[[str], RigRun]
 Table = dict[str, np.ndarray]
 
 
@@ -54,8 +53,8 @@ def _decode(run: RigRun) -> Table:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_ideal_sensors_hide_nothing(ideal_run: Runs, name: str) -> None:
-    run = ideal_run(name)
+def test_ideal_sensors_hide_nothing(name: str) -> None:
+    run = rig_run(name, sensors=SensorSettings.ideal())
     got, truth = _decode(run), run.truth
     for mine, theirs in (("P25", "P25_Pa"), ("P31", "P31_Pa"), ("T25", "T25_K"), ("T31", "T31_K")):
         assert got[mine] == pytest.approx(truth[theirs], rel=1e-9)
@@ -69,8 +68,8 @@ def test_ideal_sensors_hide_nothing(ideal_run: Runs, name: str) -> None:
         assert np.max(error) < 1e-4 * np.max(np.abs(truth[theirs]))
 
 
-def test_written_files_hold_the_run(default_run: Runs, tmp_path: Path) -> None:
-    run = default_run("90")
+def test_written_files_hold_the_run(tmp_path: Path) -> None:
+    run = rig_run("90")
     write_run(run, tmp_path / "out" / "run")
     folder = tmp_path / "out" / "run"
     assert sorted(p.name for p in folder.iterdir()) == ["raw.csv", "test.toml", "truth"]

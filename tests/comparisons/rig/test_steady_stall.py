@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from rig_records import rig_run
 
-from comparisons.rig import CASES, RigRun
+from comparisons.rig import CASES
 
-Runs = Callable[[str], RigRun]
 WINDOW = slice(1_000, 3_901)
 
 
@@ -17,8 +15,8 @@ def curve(name: str, phi: np.ndarray) -> np.ndarray:
     return np.polynomial.polynomial.polyval(phi, CASES[name].pressure_terms)
 
 
-def test_the_machine_sits_in_stall_while_the_throttle_moves(default_run: Runs) -> None:
-    run = default_run("75-stall")
+def test_the_machine_sits_in_stall_while_the_throttle_moves() -> None:
+    run = rig_run("75-stall")
     onset = int(np.flatnonzero(run.truth["in_stall"])[0])
     assert np.all(run.truth["in_stall"][onset:] == 1.0)
     assert run.truth_parameters["recovery_times_s"] == []
@@ -33,8 +31,8 @@ def test_the_machine_sits_in_stall_while_the_throttle_moves(default_run: Runs) -
     assert 0.73 < run.truth["Nc_frac"][WINDOW].min() <= run.truth["Nc_frac"].max() <= 0.7501
 
 
-def test_it_is_steady(default_run: Runs) -> None:
-    truth = default_run("75-stall").truth
+def test_it_is_steady() -> None:
+    truth = rig_run("75-stall").truth
     off = truth["psi_p"][WINDOW] - truth["psi_p_qs"][WINDOW]
     assert np.max(np.abs(off)) < 0.02
     assert truth["psi_p_qs"][WINDOW] == pytest.approx(curve("75-stall", truth["phi"][WINDOW]))

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -150,10 +149,3 @@ def test_the_command_writes_the_files_of_the_format(tmp_path: Path) -> None:
     assert len(test.channels) == 20
     about = tomllib.loads((folder / "truth" / "truth.toml").read_text("utf-8"))
     assert len(about["quasi_steady"]["phi"]) == len(about["quasi_steady"]["psi_p"])
-
-
-def test_the_entry_point_names_what_draws_a_record() -> None:
-    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
-    place = project["project"]["entry-points"]["sindy_surge.rigs"]["distributed"]
-    module, _, name = place.partition(":")
-    assert getattr(importlib.import_module(module), name) is draw_record

@@ -240,7 +240,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence() -> None:
 def test_the_stated_5_percent_is_5_percent_where_methods_are_equal() -> None:
     """Four equal methods: any word of a difference is false, whoever was chosen as reference."""
     found = {"a": 0, None: 0}
-    n = 300
+    n = 150
     for seed in range(n):
         methods = dict.fromkeys("abcd", 0.0)
         table = made_study(methods, seed=seed, n_records=12, n_reductions=1, noise=1.0)
@@ -254,7 +254,7 @@ def test_the_stated_5_percent_is_5_percent_where_methods_are_equal() -> None:
 
 
 def test_equivalence_is_said_of_methods_at_the_margin_in_5_percent() -> None:
-    n, said = 400, {0.0: 0, 1.0: 0}
+    n, said = 200, {0.0: 0, 1.0: 0}
     for seed in range(n):
         for shift in said:
             table = made_study(

@@ -124,23 +124,6 @@ def test_failed_cells_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert set(run_study(made, tmp_path, resume=True)["state"]) == {"ok"}
 
 
-@pytest.mark.parametrize(
-    ("entry", "found"),
-    [
-        ({"class": "no_such_package:Thing"}, "no_such_package"),
-        ({"class": "study_methods:Nothing"}, "Nothing"),
-        ({"class": "study_methods:Short", "parameters": {"colour": 1}}, "no arguments"),
-        ({"class": "study_methods:NoFit"}, "NoFit without fit"),
-    ],
-)
-def test_a_class_that_cannot_be_had_is_refused_before_the_study(
-    tmp_path: Path, entry: dict[str, Any], found: str
-) -> None:
-    with pytest.raises(InputError, match=found):
-        run_study(spec(method=[{"name": "m", **entry}]), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_cluster_gives_the_same_numbers(done: tuple[pd.DataFrame, Path], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     with distributed.LocalCluster(

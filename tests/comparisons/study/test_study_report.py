@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from comparisons.study.report import render_study_report
 from comparisons.study.spec import StudySpec, spec_from
@@ -62,15 +61,3 @@ def test_the_report_leads_with_the_answer_and_says_what_failed() -> None:
     # All three failures of one method for one reason are one line.
     assert "sindy failed 3 singular &lt;matrix&gt;" in page
     assert "survivors only" in page
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [("single", "classic_ml is best"), ("one record", "records: 1, fewer than 5")],
-)
-def test_thin_studies_have_a_report_all_the_same(kind: str, expected: str) -> None:
-    methods = METHODS[:1] if kind == "single" else METHODS[:2]
-    table = made_results(methods)
-    if kind == "one record":
-        table = table[table["record"] == "r-0"]
-    assert expected in words(render_study_report(table, spec(methods)))

@@ -116,7 +116,7 @@ def test_a_hidden_state_behind_a_known_equation():
         return [1.8 * (z[2] - z[1]), 0.55 * z[0] - 0.36 * np.sqrt(abs(z[1])), lagged]
 
     rng = np.random.default_rng(4)
-    t = np.arange(2000) * STEP_S
+    t = np.arange(1300) * STEP_S
     start = np.array([0.5, 0.6, 0.6])
     run = solve_ivp(rate, (0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-11).y.T
     noisy = (run + 0.01 * run.std(axis=0) * rng.standard_normal(run.shape))[:, :2]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from surge_machines import STEP_S, draw, measured
 
-from sindy_surge import InputError, discover_loop
+from sindy_surge import InputError, SurgeLoop, discover_loop
 from sindy_surge.discover.loop_signals import measure_cycles, smoothed
 from surge_core.fit_state import FitState
 
@@ -49,9 +49,14 @@ def test_one_branch_stays_one_with_a_kink_too(kind: str, seed: int) -> None:
     assert curve_error(loop, machine, states, modes) < 0.03
 
 
-def test_duct_plenum_and_errors() -> None:
-    machine, states, _ = draw(0, "two")
-    loop = discover_loop(*measured(states, 0.01, 5).T, STEP_S)
+@pytest.fixture(scope="module")
+def loop() -> SurgeLoop:
+    """The loop that the next tests look at."""
+    return discover_loop(*measured(draw(0, "two")[1], 0.01, 5).T, STEP_S)
+
+
+def test_duct_plenum_and_errors(loop: SurgeLoop) -> None:
+    machine = draw(0, "two")[0]
     assert loop.duct.terms == ("psi_p", "plenum")
     assert loop.plenum.terms == ("phi", "sqrt(plenum)")
     truth = np.array([machine.plenum, -machine.plenum * machine.throttle])
@@ -69,9 +74,8 @@ def test_records_side_by_side() -> None:
     assert loop.time_constant_s == pytest.approx(machine.tau_s, rel=0.01)
 
 
-def test_a_throttle_opened_beyond_the_surge_line_is_steady() -> None:
-    machine, states, _ = draw(0, "two")
-    loop = discover_loop(*measured(states, 0.01, 5).T, STEP_S)
+def test_a_throttle_opened_beyond_the_surge_line_is_steady(loop: SurgeLoop) -> None:
+    machine = draw(0, "two")[0]
     limit, at = loop.surge_line()
     assert limit > 1  # the record surges
     beyond, growth = loop.operating_point(1.05 * limit)

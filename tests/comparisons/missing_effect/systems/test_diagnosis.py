@@ -52,20 +52,6 @@ def noise_of(diagnosis: SystemDiagnosis) -> np.ndarray:
 
 # What is hidden, the name in the set, its place, its numbers.
 HIDDEN: dict[str, tuple[str, dict[str, Any], str, str, dict[str, float]]] = {
-    "turbulent pipe": (
-        "pipe",
-        {"drag": 0.3},
-        "quadratic_drag",
-        "dflow/dt",
-        {"c_2": 0.3},
-    ),
-    "drive with a threshold": (
-        "circuit",
-        {"drive_gap": 1.0},
-        "dead_zone",
-        "v",
-        {"threshold": 1.0},
-    ),
     "dry friction": (
         "body",
         {"force": lambda t, q, v: -1.5 * math.tanh(v / 1e-3)},

@@ -137,12 +137,10 @@ BAD = {
     "empty.csv": (lambda: "", "an empty file"),
     "binary.csv": (lambda: NUL, "bytes that are no text"),
     "short.csv": (lambda: text(good()[:39]), "rows: expected at least 40, found 39"),
-    "gap.csv": (lambda: text(good().drop(index=range(80, 90))), "a gap in row 81"),
     "nan_time.csv": (changed(70, "time_s", ""), "time_s: expected finite times, found nan in row"),
     "jitter.csv": (jitter, "row 51 off by 0.002 periods"),
     "nan.csv": (changed(12, "F", ""), "F: expected finite values, found nan in row 13"),
     "word.csv": (changed(12, "y", "over"), "y: expected numbers, found 'over' in row 13"),
-    "no_input.csv": (header("time_s,force,y"), "F: expected columns F, y, found y"),
     "semicolons.csv": (header("time_s;F;y"), "columns separated by commas"),
     "long_row.csv": (
         lines(lambda rows: [*rows[:60], rows[60] + ",3", *rows[61:]]),

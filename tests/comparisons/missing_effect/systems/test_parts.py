@@ -20,9 +20,9 @@ from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.roles import displacements, rate_factors, rate_of, rates
 from comparisons.missing_effect.systems.score import Probe, Prober
-from comparisons.missing_effect.systems.shapes import Kind, Map, Term
+from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
-from comparisons.missing_effect.systems.units import is_mechanical, product_of_units
+from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.errors import InputError
 
 BODY = [truth.BODY[name] for name in ("M", "c", "k")]
@@ -47,9 +47,6 @@ def probed(fit: Fit, run: Run, effects: object) -> list[Probe]:
 def fitted_with(fit: Fit, run: Run, effect: Placed, slots: tuple[float, ...]) -> Fit:
     structure = fit.structure.with_effect(effect)
     return make.fitted(structure, [run], [*fit.theta, *structure.slots(slots)])
-
-
-RESISTING = ("coulomb_friction", "stribeck_friction", "quadratic_drag", "softening_damping")
 
 
 @pytest.mark.parametrize("drag", [0.1, -0.1])
@@ -273,20 +270,3 @@ def test_a_definition_may_be_scaled() -> None:
 )
 def test_units_cancel(factors: tuple[tuple[str, float], ...], wanted: str) -> None:
     assert product_of_units(*factors) == wanted
-
-
-def test_words_of_motion_are_for_what_moves() -> None:
-    assert all(is_mechanical(unit) for unit in ("m", "mm/s", "m/s^2", "rad", "rpm", "°/s"))
-    assert not any(is_mechanical(unit) for unit in ("K", "V/s", "A", "dm³/s", "1", "ticks/s", "m²"))
-    for name, kind, code in (
-        ("dead_zone", Kind.TERM, Term.GAP),
-        ("gravity", Kind.TERM, Term.CONSTANT),
-        ("coulomb_friction", Kind.TERM, Term.COULOMB),
-    ):
-        effect = make.placed(name, kind, 1, -1 if name == "gravity" else 1, code=code)
-        moving, warm = effect.words(make.body()), effect.words(make.thermal())
-        assert moving.title == name.replace("_", " ")
-        assert not {"force", "contact", "friction", "gravity"} & set(warm.says.lower().split())
-        assert warm.title != moving.title
-    sensor = make.placed("saturation", Kind.OUTPUT_MAP, 1, code=Map.UPPER)
-    assert sensor.words(make.thermal()).says == sensor.effect.says

@@ -137,19 +137,6 @@ def test_a_burst_shows_in_its_blocks_alone() -> None:
     assert where.time[-1].to_s == pytest.approx(180.0)
 
 
-def test_what_is_no_number_is_none_in_json() -> None:
-    check = parted(white(9), white(10))
-    gone = replace(check, before=np.full((N, 1), np.nan))
-    document = where_of(gone).to_json()
-    assert set(document) == {"time", "frequency", "flow"}
-    json.dumps(document, allow_nan=False)
-    assert all(row["before_rms"] is None for row in document["time"])
-    assert all(row["after_rms"] is not None for row in document["time"])
-    for row in (*document["time"], *document["frequency"], *document["flow"]):
-        assert (row["record"], row["output"]) == ("run", "y")
-    assert {row["signal"] for row in document["flow"]} == {"y"}
-
-
 def _effect_on(signal: str):  # type: ignore[no-untyped-def]
     return replace(made_diagnosis().missing[0], place={"equation": "dv/dt", "signal": signal})
 
