@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from classic_ml.records import counted
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
@@ -30,6 +31,8 @@ STEPS = {
     "looking for what is missing": 10.0,
     "fitting ψ_QS to the power": 3.0,
 }
+# Undecided effects that the answer names; `diagnose` lists all.
+FEW = 3
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 
@@ -196,6 +199,7 @@ def missing_words(d: Diagnosis) -> str:
     d : Diagnosis
         The diagnosis.
     """
+    from comparisons.missing_effect.quantities import plain_name
     from comparisons.missing_effect.words import verdict_sentence
 
     words = [
@@ -203,8 +207,11 @@ def missing_words(d: Diagnosis) -> str:
         *(f"{text[0].upper()}{text[1:].rstrip('.')}." for text in d.remarks),
     ]
     if d.absent and not d.missing:
-        seen = ", ".join(each.effect for each in d.absent)
+        seen = ", ".join(plain_name(each.effect) for each in d.absent)
         words.append(f"These would have been seen: {seen}.")
     if d.untold:
-        words.append(f"Not decided by this record: {', '.join(u.effect for u in d.untold)}.")
+        first = ", ".join(plain_name(each.effect) for each in d.untold[:FEW])
+        more = len(d.untold) - FEW
+        others = f" and {counted(more, 'other')}" if more > 0 else ""
+        words.append(f"Not decided by this record: {first}{others}; `diagnose` says what would.")
     return " ".join(words)

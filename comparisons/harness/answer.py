@@ -108,8 +108,8 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     low, high = (significant(end, 3) for end in (min(taus), max(taus)))
     spread = low if low == high else f"{low} to {high}"
     return (
-        f"{words}, while the fits to low-passed rows read {spread} ms, which the low-pass before "
-        f"the flow equation biases.{aside}"
+        f"{words}. The low-pass before the flow equation biases the fits to low-passed rows, which "
+        f"read {spread} ms.{aside}"
     )
 
 

@@ -10,7 +10,7 @@ ESTIMATOR_LABELS = {
     "paper": "the paper's way (armax)",
     "classic_ml_arx": "least squares (arx)",
     "classic_ml_output_error": "free run (output error)",
-    "sindy": "sparse regression (SINDy)",
+    "sindy": "sparse regression",
 }
 
 

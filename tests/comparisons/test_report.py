@@ -150,7 +150,7 @@ def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
     assert "<small>sindy</small>" in row
     assert "18.01 ± 0.22" in row
     assert html.count('<tr class="best">') == 1
-    assert "Believe sparse regression (SINDy)" in Page(html).text
+    assert "Believe sparse regression" in Page(html).text
     none = dataclasses.replace(made_comparison(), quotable=())
     page = render_report([ReportSection("x", none)], title="x", command="x")
     assert '<tr class="best">' not in page

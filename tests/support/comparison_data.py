@@ -32,7 +32,7 @@ DROPPING = LedgerEntry(
 )
 # Key, label, τ and its standard error in s, held-out rms, difference, paired error, trust.
 LINES = (
-    ("sindy", "sparse regression (SINDy)", 0.01801, 0.00022, 0.01234, 0.0, 0.0, "nothing"),
+    ("sindy", "sparse regression", 0.01801, 0.00022, 0.01234, 0.0, 0.0, "nothing"),
     (
         "classic_ml",
         "maximum likelihood (armax)",
