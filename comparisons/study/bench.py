@@ -17,7 +17,7 @@ from scipy.stats import friedmanchisquare, rankdata, studentized_range
 
 from comparisons.harness.methods import ENTRY_POINTS, PEERS, method_name
 from comparisons.study.rigs import draw_of, rig_names
-from comparisons.study.spec import StudySpec, spec_from
+from comparisons.study.spec import BUILT_IN, StudySpec, spec_from
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ __all__ = ["BenchRow", "Ranks", "bench_rows", "bench_spec", "draw_ranks", "ranks
 # curve right within 0.15, its rms error over the φ that was scored.
 WITHIN_S, WITHIN_SHARE, GROSS_SHARE, CURVE_WITHIN = 2e-3, 0.10, 0.30, 0.15
 LEVEL = 0.05
-BUILT_IN = ("classic_ml", "sindy", "paper")
 SCORES = ["tau_error_ms", "tau_covered", "curve_rms_error", "false_names"]
 
 
@@ -112,7 +111,7 @@ def bench_spec(
     seed : int
         Of the bench; each machine has a seed of its own from it.
     methods : sequence of str
-        Beside those built in: names of built-in peers, or ``module:Class``.
+        Beside the five estimators: names of built-in peers, or ``module:Class``.
     rigs : sequence of str
         Rigs; all that are installed without them.
     naming : str, optional

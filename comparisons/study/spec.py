@@ -29,7 +29,7 @@ from surge_core.models import Table, read_toml, validated
 
 __all__ = ["BUILT_IN", "Method", "Random", "Range", "Scalar", "StudySpec", "read_spec", "spec_from"]
 
-BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
+BUILT_IN = ("classic_ml", "sindy", "paper", "classic_ml_arx", "classic_ml_output_error")
 MOST_CELLS = 1_000_000
 CLASS = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
 TABLES = ("record", "reduction", "fit")

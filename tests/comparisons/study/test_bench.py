@@ -78,12 +78,7 @@ def test_a_bench_of_the_distributed_rig(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["bench", *given, "--json", str(tmp_path / "b.json")]) == 0
     found = json.loads((tmp_path / "b.json").read_text("utf-8"))
     assert found["schema"] == "sindy-surge/bench/1"
-    assert {row["method"] for row in found["methods"]} == {
-        "classic_ml",
-        "sindy",
-        "paper",
-        "diagnose",
-    }
+    assert {row["method"] for row in found["methods"]} == {*BUILT_IN, "diagnose"}
     assert all(row["crashes"] == 0 for row in found["methods"])
     assert "critical difference" in capsys.readouterr().out
     assert main(["bench", "--machines", "1", "--rig", "nowhere", "--out", str(tmp_path / "c")]) == 2
