@@ -11,6 +11,7 @@ import pytest
 
 from comparisons.cli import main
 from comparisons.study.bench import bench_rows, bench_spec, ranks_of
+from comparisons.study.spec import BUILT_IN
 
 NAN = float("nan")
 
