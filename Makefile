@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Byte code is kept: to compile the packages anew takes 3 s of every command.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test benchmarks screen docs lint clean
 
 demo: $(STAMP)
