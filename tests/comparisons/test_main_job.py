@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rig_records import rig_record, rig_run, rig_series
+from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml import LagRegressor
 from classic_ml.io import read_raw
@@ -19,26 +19,22 @@ from comparisons.results import Comparison
 from comparisons.show.json_output import comparison_document
 
 AT = np.array([0.0, 0.05, 0.1, 0.15])
-RECORD = Path(__file__).parents[3] / "shared" / "data" / "independent_rig_985"
 TAU_S = 0.018
 # SOURCE.txt of the record.
 INDEPENDENT_BETA = (1.2135, 2.941, 47.358)
-needs_record = pytest.mark.skipif(
-    not RECORD.is_dir(), reason="the raw record independent_rig_985 is not beside the checkout"
-)
 
 
 @pytest.fixture(scope="module")
 def independent() -> Comparison:
     # By the paper's threshold, which its test.toml leaves open.
     settings = ReductionSettings(threshold_lbm_s=50.0)
-    record, test = read_raw(RECORD / "raw.csv", RECORD / "test.toml")
+    record, test = read_raw(INDEPENDENT / "raw.csv", INDEPENDENT / "test.toml")
     return compare_records([reduce_record(record, test, settings).series])
 
 
-@needs_record
+@needs_independent
 def test_an_estimated_threshold_leaves_tau_and_curve_as_they_are(independent: Comparison) -> None:
-    series = reduce_record(*read_raw(RECORD / "raw.csv", RECORD / "test.toml")).series
+    series = reduce_record(*read_raw(INDEPENDENT / "raw.csv", INDEPENDENT / "test.toml")).series
     estimated = compare_records([series], estimators=only("classic_ml", "paper"))
     one, other = (c.result("classic_ml").model for c in (independent, estimated))
     assert abs(one.time_constant_s - other.time_constant_s) < 0.1 * one.time_constant_stderr_s
@@ -54,7 +50,7 @@ def curve_error(comparison: Comparison, beta: tuple[float, ...], name: str = "cl
     return float(np.max(np.abs(curve - np.polynomial.polynomial.polyval(AT, beta))))
 
 
-@needs_record
+@needs_independent
 @pytest.mark.parametrize(("name", "within"), [("classic_ml", 0.1), ("paper", 0.15)])
 def test_the_curve_of_the_independent_record(
     independent: Comparison, name: str, within: float
@@ -62,7 +58,7 @@ def test_the_curve_of_the_independent_record(
     assert curve_error(independent, INDEPENDENT_BETA, name) < within
 
 
-@needs_record
+@needs_independent
 def test_its_time_constant_is_right_and_inside_the_stated_interval(
     independent: Comparison,
 ) -> None:
@@ -73,7 +69,7 @@ def test_its_time_constant_is_right_and_inside_the_stated_interval(
     assert independent.result("classic_ml").converged
 
 
-@needs_record
+@needs_independent
 def test_the_papers_way_reads_it_high_and_the_words_say_so(independent: Comparison) -> None:
     # Known of a low-pass before the flow equation: 30 ms for 18.
     assert 0.025 < independent.result("paper").model.time_constant_s < 0.036
@@ -81,7 +77,7 @@ def test_the_papers_way_reads_it_high_and_the_words_say_so(independent: Comparis
     assert any("which τ to quote: that of classic_ml" in caution for caution in cautions)
 
 
-@needs_record
+@needs_independent
 def test_both_estimators_reconstruct_the_held_out_cycles(independent: Comparison) -> None:
     for name in ("paper", "sindy"):
         held_out = independent.result(name).held_out

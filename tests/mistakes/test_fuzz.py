@@ -31,11 +31,9 @@ FUZZ = settings(
 # What probes whose calibrations are a few per cent apart leave open in φ and ψ'.
 TOLERATED = (0.05, 0.2)
 RECONSTRUCT = "reconstruct model.json series.csv -o again.csv"
-DRY_RUN = "study study.toml --out study --dry-run"
 NEEDED = {
     REDUCE: ("raw.csv", "test.toml"),
     RECONSTRUCT: ("model.json", "series.csv", "series.ledger.json"),
-    DRY_RUN: ("study.toml",),
 }
 
 
@@ -121,15 +119,6 @@ def test_a_damaged_series_ledger_or_model(clean: Path, change: Any, file: str) -
         (folder / file).write_bytes(change((folder / file).read_bytes()))
         if answered(run_in(folder, RECONSTRUCT), "again.csv"):
             assert finite(folder / "again.csv", "phi", "psi_p", "psi_p_reconstructed")
-
-
-@settings(FUZZ, max_examples=60)
-@given(change=damage())
-def test_a_damaged_study(clean: Path, change: Any) -> None:
-    with desk(clean, DRY_RUN) as folder:
-        study = folder / "study.toml"
-        study.write_bytes(change(study.read_bytes()))
-        answered(run_in(folder, DRY_RUN))
 
 
 OTHER_VALUES = st.one_of(
