@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -85,10 +86,16 @@ def test_both_estimators_reconstruct_the_held_out_cycles(independent: Comparison
         assert held_out.r2 > 0.85
 
 
+@cache
+def compared(case: str, seed: int = 0) -> Comparison:
+    """A record of the own rig, in the paper's way, by output error and by the whole record."""
+    chosen = only("paper", "classic_ml_output_error", "classic_ml")
+    return compare_records([rig_series(case, seed)], estimators=chosen)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_curve_of_the_own_rig(seed: int) -> None:
-    series = rig_series("985", seed)
-    comparison = compare_records([series], estimators=only("classic_ml", "paper", n_twins=0))
+    comparison = compared("985", seed)
     beta = tuple(rig_run("985", seed).truth_parameters["beta"])
     assert curve_error(comparison, beta) < 0.12
     assert curve_error(comparison, beta, "paper") < 0.15
@@ -98,8 +105,7 @@ def test_the_time_constant_over_seeds_and_speeds() -> None:
     """The figures of a long study (benchmarks/tau_on_the_rig.py), on four records."""
     taus, inside = [], 0
     for case, seed in (("985", 0), ("985", 1), ("90", 0), ("95", 0)):
-        comparison = compare_records([rig_series(case, seed)], estimators=only("classic_ml"))
-        model = comparison.result("classic_ml").model
+        model = compared(case, seed).result("classic_ml").model
         taus.append(model.time_constant_s)
         inside += model.ci95_s[0] < TAU_S < model.ci95_s[1]
     # 2.5 ms on a single record and 1 ms on the mean of four: what the noise of the transducers
@@ -136,8 +142,7 @@ def test_one_blowdown_after_another_without_its_rakes_is_refused() -> None:
 
 def test_at_ninety_percent_speed_the_recommended_row_leads_and_is_right() -> None:
     """φ of the rows that a whole run does not score, reversed flow, is no part of its coverage."""
-    chosen = only("paper", "classic_ml_output_error", "classic_ml")
-    comparison = compare_records([rig_series("90", 0)], estimators=chosen)
+    comparison = compared("90")
     assert comparison.recommended == "classic_ml"
     first, *others = comparison.table
     assert (first.estimator, first.rank) == ("classic_ml", 1)
@@ -161,8 +166,7 @@ def test_two_speeds_or_zero_hold_recommend_no_tau() -> None:
     assert all(record.source in said for record in (main, slow))
     zero = default_estimators(hold="zero")[:1]
     assert compare_records([main], hold="zero", estimators=zero).quotable == ()
-    alone = compare_records([main], estimators=only("classic_ml", n_twins=0))
-    assert alone.quotable == ("classic_ml",)
+    assert compared("985").quotable == ("classic_ml",)
 
 
 def test_tau_held_at_a_trial_value() -> None:
@@ -205,6 +209,6 @@ def test_the_start_of_c_matters_on_low_passed_data(seed: int) -> None:
 def test_a_second_instability_is_reconstructed_by_the_model_of_the_first() -> None:
     from comparisons.harness.reconstruction import reconstruct_record
 
-    model = compare_records([rig_series("985", 0)], estimators=only("paper")).results[0].model
+    model = compared("985").result("paper").model
     run = reconstruct_record(model, rig_series("985-second", 1))
     assert run.score.r2 > 0.85

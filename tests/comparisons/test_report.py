@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,6 +27,15 @@ from comparisons.show.report import ReportSection, render_report, report_pages
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
 HEADINGS = ("Evidence", "Diagnosis", "Checks", "Data quality", "Ledger", "Settings")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _undrawn() -> Iterator[None]:
+    """The pictures are drawn in test_pictures.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        uri = "data:image/png;base64,AA=="
+        patch.setattr("comparisons.page.style.figure_to_data_uri", lambda _: uri)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -100,7 +100,7 @@ def finite(file: Path, *columns: str) -> bool:
 
 
 @pytest.mark.parametrize("file", ["raw.csv", "test.toml"])
-@settings(FUZZ, max_examples=50)
+@settings(FUZZ, max_examples=30)
 @given(change=damage())
 def test_a_damaged_record_or_description(clean: Path, change: Any, file: str) -> None:
     with desk(clean, REDUCE) as folder:
@@ -112,7 +112,7 @@ def test_a_damaged_record_or_description(clean: Path, change: Any, file: str) ->
                 right_or_flagged(clean, folder)
 
 
-@settings(FUZZ, max_examples=60)
+@settings(FUZZ, max_examples=40)
 @given(change=damage(), file=st.sampled_from(["series.csv", "series.ledger.json", "model.json"]))
 def test_a_damaged_series_ledger_or_model(clean: Path, change: Any, file: str) -> None:
     with desk(clean, RECONSTRUCT) as folder:
@@ -141,7 +141,7 @@ def leaves(tables: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str
     return out
 
 
-@settings(FUZZ, max_examples=80)
+@settings(FUZZ, max_examples=50)
 @given(data=st.data(), value=OTHER_VALUES)
 def test_a_value_of_another_type(clean: Path, data: st.DataObject, value: Any) -> None:
     with desk(clean, REDUCE) as folder:
@@ -156,7 +156,7 @@ def test_a_value_of_another_type(clean: Path, data: st.DataObject, value: Any) -
             assert finite(folder / "reduced.csv", "phi", "psi_p")
 
 
-@settings(FUZZ, max_examples=60)
+@settings(FUZZ, max_examples=40)
 @given(data=st.data(), value=st.one_of(OTHER_VALUES, st.none()))
 def test_a_model_of_other_types(clean: Path, data: st.DataObject, value: Any) -> None:
     with desk(clean, RECONSTRUCT) as folder:

@@ -144,8 +144,8 @@ def test_no_whitened_error_looks_across_a_gap() -> None:
 
 def test_a_slower_output_and_an_outage_leave_the_name() -> None:
     """A drag in a pipe whose flow is read every third row, with an outage, is named as it is."""
-    made = truth.pipe(1, 1200, drag=0.3, noise=0.01)
-    rows = np.arange(1200)
+    made = truth.pipe(1, 900, drag=0.3, noise=0.01)
+    rows = np.arange(900)
     made["Q"] = np.where((rows % 3 == 0) & ((rows < 500) | (rows > 560)), made["Q"], np.nan)
     found = diagnose_model(make.pipe(), make.experiment("pipe", made), most_effects=1)
     assert found.missing[0].effect == "quadratic_drag"
