@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.rig.coefficient_tests import EFFECTS, simulate_test
-
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
@@ -127,17 +125,3 @@ def test_gap_is_closed_down_to_the_true_noise(tables: ModuleType) -> None:
     half = row("named", item(DELAY), before_rms=3.0, after_rms=np.sqrt(5.0), sigma=1.0)
     assert tables.gap_closed(half) == pytest.approx(0.5)
     assert np.isnan(tables.gap_closed(row("nothing_missing", before_rms=0.9)))
-
-
-def test_published_recipe_finds_what_it_can_say(study: ModuleType) -> None:
-    import effect_study_pysindy as recipe
-
-    assert len(recipe.TERMS) == 17
-    assert tuple(recipe.RIGHT_TERMS) == EFFECTS
-    for right in recipe.RIGHT_TERMS.values():
-        assert right is None or set(right) < set(recipe.TERMS)
-    for name in ("bias_drift", "asymmetric_lag", "second_order_lag"):
-        test = simulate_test(name, strength=5.0, seed=1, n_records=2)
-        terms, explained = recipe.sparse_discrepancy(test.records, 3)
-        assert terms[0] in recipe.RIGHT_TERMS[name]
-        assert 0.0 < explained < 1.0

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import html
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from lag_data import BETA, PERIOD_S, flow, lagged
-from sklearn import config_context
-from sklearn.base import clone
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from report_page import Page
 
 from classic_ml import LagRegressor
 from surge_core.display import Field, Grid, Sheet
@@ -28,31 +24,6 @@ SHEET = Sheet(
 )
 
 
-class Markup(HTMLParser):
-    """Tags and words of a document; an unbalanced tag is an error."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.words: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag != "br":
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
-            self.words.append(data)
-
-
 def fitted(seed: int = 0) -> LagRegressor:
     rng = np.random.default_rng(seed)
     phi = flow(1500, rng)
@@ -66,7 +37,7 @@ def model() -> LagRegressor:
 
 
 def test_text_and_html_tell_the_same() -> None:
-    words = Markup(SHEET.html()).words
+    words = Page(SHEET.html()).texts
     told = [SHEET.title, *(line for f in SHEET.fields for line in (f.label, *f.lines))]
     told += [cell for row in SHEET.grids[0].rows for cell in row]
     for line in told:
@@ -89,11 +60,11 @@ def test_every_string_is_escaped_and_every_head_has_a_scope() -> None:
         ),
     )
     text = sheet.html()
-    markup = Markup(text)
+    markup = Page(text)
     assert {tag for tag, _ in markup.tags}.isdisjoint({"script", "img", "a", "link"})
     assert text.count("<style>") == text.count("</style>") == 1
     assert html.escape(EVIL) in text
-    assert markup.words.count(EVIL) == 13
+    assert markup.texts.count(EVIL) == 13
     assert all(attrs.get("scope") in ("row", "col") for tag, attrs in markup.tags if tag == "th")
     assert not any(name.startswith("on") for _, attrs in markup.tags for name in attrs)
     assert "url(" not in text
@@ -101,7 +72,7 @@ def test_every_string_is_escaped_and_every_head_has_a_scope() -> None:
 
 def test_a_fit_shows_its_lag_and_terms_to_their_errors(model: LagRegressor) -> None:
     shown = model._repr_html_()
-    words = Markup(shown).words
+    words = Page(shown).texts
     value, error = re.search(r"([\d.]+) ± ([\d.]+) ms", shown).groups()  # type: ignore[union-attr]
     assert float(value) == pytest.approx(1e3 * model.time_constant_s_, abs=float(error))
     assert float(error) == pytest.approx(1e3 * model.time_constant_stderr_s_, rel=0.1)
@@ -120,15 +91,3 @@ def test_a_fit_shows_its_lag_and_terms_to_their_errors(model: LagRegressor) -> N
     assert re.search(tau, str(model))
     assert str(model) == model._repr_mimebundle_()["text/plain"]
     assert model._repr_mimebundle_()["text/html"] == shown
-
-
-def test_before_a_fit_scikit_learn_shows_it_and_repr_rebuilds_it(model: LagRegressor) -> None:
-    bare = LagRegressor(degree=3)
-    assert str(bare) == repr(bare) == "LagRegressor(degree=3)"
-    assert "sk-container" in bare._repr_html_()
-    assert repr(clone(model)) == repr(model)
-    with config_context(display="text"):
-        assert list(model._repr_mimebundle_()) == ["text/plain"]
-        assert not hasattr(model, "_repr_html_")
-    pipeline = make_pipeline(StandardScaler(), LagRegressor())
-    assert "sk-container" in pipeline._repr_html_()

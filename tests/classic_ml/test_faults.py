@@ -50,16 +50,6 @@ def between(start: int, stop: int, value: float | None = None) -> Change:
     return change
 
 
-def test_a_sound_record_has_no_findings(made: RawTest) -> None:
-    record, test = made.load()
-    out = inspect_readings(record, test)
-    assert out.history[-1].flags == ()
-    assert not [name for name in out.channels if name.startswith("fault_")]
-    kept = chosen(record, test)
-    assert kept.history[-1].dropped == ()
-    assert set(test.channel_names) <= set(kept.channels)
-
-
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("noise", [0.0, 0.5, 4.0])
 def test_no_false_alarm_at_any_noise(seed: int, noise: float) -> None:

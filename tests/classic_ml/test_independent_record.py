@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml import LagRegressor
 from classic_ml.flow import LBM_KG
@@ -16,11 +16,7 @@ from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 
-FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "independent_rig_985"
-pytestmark = pytest.mark.skipif(
-    not (FOLDER / "raw.csv").is_file(),
-    reason="the shared data folder is not beside the repository (../shared/data)",
-)
+pytestmark = needs_independent
 
 # The window of the paper, which the statements about this record refer to.
 PAPER_S = (1.8, 3.6)
@@ -31,7 +27,7 @@ TRUTH = 1.2135 + 2.941 * PHI + 47.358 * PHI**2
 @pytest.fixture(scope="module")
 def raw() -> tuple[Record, TestDescription]:
     """The record with the paper's threshold, which its test.toml leaves to be estimated."""
-    record, test = read_raw(FOLDER / "raw.csv", FOLDER / "test.toml")
+    record, test = read_raw(INDEPENDENT / "raw.csv", INDEPENDENT / "test.toml")
     return record, replace(test, threshold_lbm_s=50.0)
 
 

@@ -164,15 +164,6 @@ def test_a_clock_is_in_the_unit_that_test_toml_says(
         read_raw(*write(tmp_path, columns, tables))
 
 
-def test_a_clock_may_be_made(made: RawTest, tmp_path: Path) -> None:
-    columns = {n: v for n, v in made.columns.items() if n != "time_s"}
-    tables = described(made, same, file={"clock": "from rate"})
-    record, _ = read_raw(*write(tmp_path, columns, tables))
-    assert record.start_s == 0.0
-    assert "from the sample rate" in record.history[0].did
-    np.testing.assert_array_equal(record["T25_A"], made.columns["T25_A"])
-
-
 def stating(unit: str, folder: Path, columns: Columns) -> Path:
     """Write a file that states one unit for all pressures."""
     header, *rows = pd.DataFrame(columns).to_csv(index=False).splitlines()

@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
-from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
+from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 from sklearn.base import clone
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
 
@@ -144,23 +144,6 @@ def test_a_free_run_through_every_row_is_no_fit(n_segments: int, n_rows: int) ->
     assert np.all(np.isnan(stderr))
 
 
-@pytest.mark.parametrize("noise", ["arx", "output-error"])
-def test_the_residual_of_short_segments_is_unbiased(noise: str) -> None:
-    found = []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        runs = flow(900, rng).reshape(300, 3)
-        error = 0.01 * rng.standard_normal((300, 3))
-        if noise == "arx":
-            for k in (1, 2):
-                error[:, k] += np.exp(-PERIOD_S / TAU_S) * error[:, k - 1]
-        y = np.concatenate([lagged(run, "zero") for run in runs]) + error.ravel()
-        m = LagRegressor(PERIOD_S, noise=noise)
-        m.fit(runs.reshape(-1, 1), y, np.repeat(np.arange(300), 3))
-        found.append(m.residual_std_)
-    assert np.mean(found) == pytest.approx(0.01, abs=4.0 * np.std(found) / np.sqrt(20))
-
-
 @pytest.mark.parametrize("drift", [None, "spline"])
 @pytest.mark.parametrize(("degree", "offset"), [(9, 0.0), (12, 0.0), (2, 1e3)])
 def test_the_band_of_the_curve_does_not_depend_on_where_phi_is_counted_from(
@@ -213,6 +196,8 @@ def test_data_without_a_lag_give_a_time_constant_far_below_the_sample_period() -
         ({"sample_period_s": "1 ms"}, "sample_period_s"),
         ({"noise_order": 3}, "noise_order"),
         ({"knot_spacing_s": -1.0}, "knot_spacing_s"),
+        ({"time_constant_s": 0.0}, "time_constant_s"),
+        ({"time_constant_s": "18 ms"}, "time_constant_s"),
     ],
 )
 def test_bad_parameters_are_refused_by_name(parameters: dict[str, object], name: str) -> None:
@@ -259,3 +244,31 @@ def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
     assert renamed.time_constant_s_ == m.time_constant_s_
     assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
     np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_held_time_constant_is_the_fit_when_it_is_the_fitted_one(noise: str) -> None:
+    rng = np.random.default_rng(0)
+    phi = flow(2000, rng)
+    y = lagged(phi, "zero") + coloured(2000, -0.5, 0.002, rng)
+    free = LagRegressor(PERIOD_S, noise=noise).fit(phi[:, None], y)
+    held = LagRegressor(PERIOD_S, noise=noise, time_constant_s=free.time_constant_s_)
+    held.fit(phi[:, None], y)
+    assert held.time_constant_s_ == free.time_constant_s_
+    assert held.time_constant_stderr_s_ == 0.0
+    np.testing.assert_allclose(held.coef_, free.coef_, rtol=1e-6)
+    np.testing.assert_allclose(held.moving_average_, free.moving_average_, atol=1e-6)
+    assert np.all(np.diag(held.covariance_) <= 1.5 * np.diag(free.covariance_))
+    assert np.all(held.parameter_covariance_[0] == 0.0)
+
+
+def test_the_cost_of_held_time_constants_has_its_least_at_the_fit() -> None:
+    rng = np.random.default_rng(1)
+    phi = flow(2000, rng)
+    y = lagged(phi, "first") + 0.002 * rng.standard_normal(2000)
+    options = {"noise": "armax", "hold": "first", "drift": "spline"}
+    free = LagRegressor(PERIOD_S, **options).fit(phi[:, None], y)
+    for factor in (0.97, 1.03):
+        trial = factor * free.time_constant_s_
+        held = LagRegressor(PERIOD_S, time_constant_s=trial, **options).fit(phi[:, None], y)
+        assert held.residual_std_ > free.residual_std_

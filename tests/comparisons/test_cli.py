@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from commands import refused, run
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
-from comparisons.cli import main
 from comparisons.rig import simulate, write_run
 
 HEAVY = ("matplotlib", "numba", "numpy", "pandas", "pysindy", "scipy", "sklearn", "xarray")
@@ -30,10 +30,6 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("raw") / "985"
     write_run(simulate("985", seed=5), folder)
     return folder
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 def test_help_answers_without_loading_anything_heavy() -> None:
@@ -86,16 +82,6 @@ def test_a_plain_series_of_three_columns_is_enough(tmp_path: Path) -> None:
 
 def nothing_but(folder: Path, *names: str) -> bool:
     return sorted(p.name for p in folder.iterdir()) == sorted(names)
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run what must be refused; return the sentence."""
-    assert run(*arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert "Traceback" not in said.err
-    return said.err
 
 
 def test_missing_files_and_folders_are_refused(

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from comparison_data import fit_rows
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
 from comparisons.harness.saved_models import load_models, save_models
-from comparisons.results import FitRows, FittedLag
+from comparisons.results import FittedLag
 from surge_core.errors import InputError
 
 
@@ -24,12 +25,6 @@ def fitted(hold: str = "first") -> tuple[LagRegressor, FittedLag, np.ndarray, np
     m = LagRegressor(PERIOD_S, hold=hold).fit(phi[:, None], y)
     grid = np.linspace(0.0, 0.6, 50)
     return m, FittedLag.from_estimator(m, "classic_ml", "psi_p", hold, grid, (0.1, 0.5)), phi, y
-
-
-def rows_of(phi: np.ndarray, y: np.ndarray, labels: np.ndarray) -> FitRows:
-    n = phi.size
-    clock, record = PERIOD_S * np.arange(n), np.zeros(n, dtype=np.int64)
-    return FitRows(phi, y, clock, labels, record, PERIOD_S, "psi_p", np.ones(n, dtype=np.bool_))
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
@@ -44,7 +39,7 @@ def test_free_run_and_one_step_are_the_estimators_own(hold: str) -> None:
         m.predict(phi[:, None], labels, start=y),
         atol=1e-12,
     )
-    step = value.one_step_over(rows_of(phi, y, labels))
+    step = value.one_step_over(fit_rows(phi, y, 2))
     a = math.exp(-PERIOD_S / value.time_constant_s)
     residual = y - step
     assert residual[0] == residual[1000] == 0.0
@@ -77,7 +72,7 @@ def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
     rng = np.random.default_rng(20)
     phi = flow(600, rng)
     truth = lagged(phi, "first")
-    rows = rows_of(phi, truth, np.ones(600, dtype=np.int64))
+    rows = fit_rows(phi, truth)
     runs, stderr, inside = [], [], []
     for seed in range(30):
         rng = np.random.default_rng(seed)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 import pytest
 from rig_records import rig_record, rig_run, rig_series
+from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml import LagRegressor
 from classic_ml.io import read_raw
@@ -19,26 +20,22 @@ from comparisons.results import Comparison
 from comparisons.show.json_output import comparison_document
 
 AT = np.array([0.0, 0.05, 0.1, 0.15])
-RECORD = Path(__file__).parents[3] / "shared" / "data" / "independent_rig_985"
 TAU_S = 0.018
 # SOURCE.txt of the record.
 INDEPENDENT_BETA = (1.2135, 2.941, 47.358)
-needs_record = pytest.mark.skipif(
-    not RECORD.is_dir(), reason="the raw record independent_rig_985 is not beside the checkout"
-)
 
 
 @pytest.fixture(scope="module")
 def independent() -> Comparison:
     # By the paper's threshold, which its test.toml leaves open.
     settings = ReductionSettings(threshold_lbm_s=50.0)
-    record, test = read_raw(RECORD / "raw.csv", RECORD / "test.toml")
+    record, test = read_raw(INDEPENDENT / "raw.csv", INDEPENDENT / "test.toml")
     return compare_records([reduce_record(record, test, settings).series])
 
 
-@needs_record
+@needs_independent
 def test_an_estimated_threshold_leaves_tau_and_curve_as_they_are(independent: Comparison) -> None:
-    series = reduce_record(*read_raw(RECORD / "raw.csv", RECORD / "test.toml")).series
+    series = reduce_record(*read_raw(INDEPENDENT / "raw.csv", INDEPENDENT / "test.toml")).series
     estimated = compare_records([series], estimators=only("classic_ml", "paper"))
     one, other = (c.result("classic_ml").model for c in (independent, estimated))
     assert abs(one.time_constant_s - other.time_constant_s) < 0.1 * one.time_constant_stderr_s
@@ -54,7 +51,7 @@ def curve_error(comparison: Comparison, beta: tuple[float, ...], name: str = "cl
     return float(np.max(np.abs(curve - np.polynomial.polynomial.polyval(AT, beta))))
 
 
-@needs_record
+@needs_independent
 @pytest.mark.parametrize(("name", "within"), [("classic_ml", 0.1), ("paper", 0.15)])
 def test_the_curve_of_the_independent_record(
     independent: Comparison, name: str, within: float
@@ -62,7 +59,7 @@ def test_the_curve_of_the_independent_record(
     assert curve_error(independent, INDEPENDENT_BETA, name) < within
 
 
-@needs_record
+@needs_independent
 def test_its_time_constant_is_right_and_inside_the_stated_interval(
     independent: Comparison,
 ) -> None:
@@ -73,7 +70,7 @@ def test_its_time_constant_is_right_and_inside_the_stated_interval(
     assert independent.result("classic_ml").converged
 
 
-@needs_record
+@needs_independent
 def test_the_papers_way_reads_it_high_and_the_words_say_so(independent: Comparison) -> None:
     # Known of a low-pass before the flow equation: 30 ms for 18.
     assert 0.025 < independent.result("paper").model.time_constant_s < 0.036
@@ -81,7 +78,7 @@ def test_the_papers_way_reads_it_high_and_the_words_say_so(independent: Comparis
     assert any("which τ to quote: that of classic_ml" in caution for caution in cautions)
 
 
-@needs_record
+@needs_independent
 def test_both_estimators_reconstruct_the_held_out_cycles(independent: Comparison) -> None:
     for name in ("paper", "sindy"):
         held_out = independent.result(name).held_out
@@ -89,10 +86,16 @@ def test_both_estimators_reconstruct_the_held_out_cycles(independent: Comparison
         assert held_out.r2 > 0.85
 
 
+@cache
+def compared(case: str, seed: int = 0) -> Comparison:
+    """A record of the own rig, in the paper's way, by output error and by the whole record."""
+    chosen = only("paper", "classic_ml_output_error", "classic_ml")
+    return compare_records([rig_series(case, seed)], estimators=chosen)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_curve_of_the_own_rig(seed: int) -> None:
-    series = rig_series("985", seed)
-    comparison = compare_records([series], estimators=only("classic_ml", "paper", n_twins=0))
+    comparison = compared("985", seed)
     beta = tuple(rig_run("985", seed).truth_parameters["beta"])
     assert curve_error(comparison, beta) < 0.12
     assert curve_error(comparison, beta, "paper") < 0.15
@@ -102,8 +105,7 @@ def test_the_time_constant_over_seeds_and_speeds() -> None:
     """The figures of a long study (benchmarks/tau_on_the_rig.py), on four records."""
     taus, inside = [], 0
     for case, seed in (("985", 0), ("985", 1), ("90", 0), ("95", 0)):
-        comparison = compare_records([rig_series(case, seed)], estimators=only("classic_ml"))
-        model = comparison.result("classic_ml").model
+        model = compared(case, seed).result("classic_ml").model
         taus.append(model.time_constant_s)
         inside += model.ci95_s[0] < TAU_S < model.ci95_s[1]
     # 2.5 ms on a single record and 1 ms on the mean of four: what the noise of the transducers
@@ -140,8 +142,7 @@ def test_one_blowdown_after_another_without_its_rakes_is_refused() -> None:
 
 def test_at_ninety_percent_speed_the_recommended_row_leads_and_is_right() -> None:
     """φ of the rows that a whole run does not score, reversed flow, is no part of its coverage."""
-    chosen = only("paper", "classic_ml_output_error", "classic_ml")
-    comparison = compare_records([rig_series("90", 0)], estimators=chosen)
+    comparison = compared("90")
     assert comparison.recommended == "classic_ml"
     first, *others = comparison.table
     assert (first.estimator, first.rank) == ("classic_ml", 1)
@@ -165,8 +166,7 @@ def test_two_speeds_or_zero_hold_recommend_no_tau() -> None:
     assert all(record.source in said for record in (main, slow))
     zero = default_estimators(hold="zero")[:1]
     assert compare_records([main], hold="zero", estimators=zero).quotable == ()
-    alone = compare_records([main], estimators=only("classic_ml", n_twins=0))
-    assert alone.quotable == ("classic_ml",)
+    assert compared("985").quotable == ("classic_ml",)
 
 
 def test_tau_held_at_a_trial_value() -> None:
@@ -209,6 +209,6 @@ def test_the_start_of_c_matters_on_low_passed_data(seed: int) -> None:
 def test_a_second_instability_is_reconstructed_by_the_model_of_the_first() -> None:
     from comparisons.harness.reconstruction import reconstruct_record
 
-    model = compare_records([rig_series("985", 0)], estimators=only("paper")).results[0].model
+    model = compared("985").result("paper").model
     run = reconstruct_record(model, rig_series("985-second", 1))
     assert run.score.r2 > 0.85

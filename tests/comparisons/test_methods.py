@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from commands import refused, run
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
-from comparisons.cli import main
 from comparisons.harness.methods import PEERS
 from comparisons.harness.peers import PlainPysindy, PredictionError
-from sindy_surge import SparseLagRegressor
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def series(tmp_path: Path) -> Path:
 def compared(series: Path, *methods: str) -> dict[str, Any]:
     out = series.with_name("compare.json")
     asked = [part for method in methods for part in ("--method", method)]
-    assert main(["compare", str(series), "--json", str(out), *asked]) == 0
+    assert run("compare", series, "--json", out, *asked) == 0
     return json.loads(out.read_text("utf-8"))["estimators"]
 
 
@@ -76,24 +75,6 @@ def test_what_a_method_offers_is_shown_and_what_it_lacks_is_null(series: Path) -
     assert own["time_constant_s"]["value"] == pytest.approx(TAU_S, rel=0.05)
     assert own["fit"]["free_run"]["rms"] < 0.5 * curve["fit"]["free_run"]["rms"]
     assert [term["name"] for term in own["terms"]] == ["1", "phi", "phi^2"]
-
-
-class Barred(SparseLagRegressor):
-    """A sparse regression with a constraint that the series speaks against."""
-
-    def __init__(self, sample_period_s: float = PERIOD_S) -> None:
-        wrong = {"phi^2": "positive"}
-        super().__init__(sample_period_s, psi_terms=False, n_bootstrap=0, constraints=wrong)
-
-
-def test_a_constraint_that_binds_stands_below_the_table_and_in_the_json(
-    series: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    compared(series, f"{__name__}:Barred")
-    words = "Barred: binding: φ² is positive by constraint; the data ask for -1."
-    assert words in " ".join(capsys.readouterr().out.split())
-    document = json.loads(series.with_name("compare.json").read_text("utf-8"))
-    assert any(caution.startswith(words) for caution in document["cautions"])
 
 
 def test_the_peers_follow_a_lag_that_is_there(series: Path) -> None:
@@ -138,7 +119,4 @@ def test_the_peers_own_tau_and_curve_are_right_without_noise() -> None:
 def test_a_method_that_cannot_be_used_is_one_sentence(
     series: Path, capsys: pytest.CaptureFixture[str], method: str, says: str
 ) -> None:
-    assert main(["compare", str(series), "--method", method]) == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    assert says in refused(capsys, "compare", series, "--method", method)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import refused
 from comparison_data import made_comparison
 from raw_data import make_test
 
@@ -71,10 +72,7 @@ def test_a_series_without_its_ledger_is_not_diagnosed(
     """Nothing says how its unfiltered columns were made: it read 10.7 ms for 20.8."""
     alone = tmp_path / "alone.csv"
     alone.write_bytes((made[0] / "series.csv").read_bytes())
-    assert main(["diagnose", str(alone)]) == 2
-    assert ".ledger.json" in capsys.readouterr().err
-    assert main(["compare", str(alone), "--no-twins"]) == 0
-    assert "lies without the ledger" in " ".join(capsys.readouterr().out.split())
+    assert ".ledger.json" in refused(capsys, "diagnose", alone)
 
 
 def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
@@ -117,8 +115,6 @@ def test_what_cannot_be_used_is_one_sentence_and_nothing_is_left(
     raw, test = make_test().write(tmp_path)
     given = {"raw": raw, "test": test, "out": tmp_path / "out"}
     given[wrong] = raw if wrong == "out" else tmp_path / "nothing.csv"
-    arguments = ["run", given["raw"], "--test", given["test"], "--out", given["out"]]
-    assert main([str(each) for each in arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert str(given[wrong]) in line
+    said = refused(capsys, "run", given["raw"], "--test", given["test"], "--out", given["out"])
+    assert str(given[wrong]) in said
     assert not (tmp_path / "out").exists()

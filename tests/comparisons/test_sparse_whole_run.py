@@ -90,16 +90,6 @@ def test_a_cubic_of_150_beside_the_parabola_is_undecidable() -> None:
     assert "undecidable" in parabola.cautions_[0]
 
 
-def test_blowdowns_are_refused_with_advice() -> None:
-    fit = fit_sparse_whole_runs([rig_series("blowdown", 0)])
-    assert fit.fit_state_ is FitState.BLOWDOWN
-    assert "none is stated" in fit.fit_state_.advice
-    assert np.isnan(fit.time_constant_s_)
-    assert np.isnan(fit.time_constant_stderr_s_)
-    assert np.all(np.isnan(fit.characteristic(AT)[1]))
-    assert fit.checks((0.0, 0.1)) == ()
-
-
 @pytest.mark.parametrize("n_scored", [0, 12])
 def test_next_to_nothing_to_score_is_refused(n_scored: int) -> None:
     record = rig_series("985", 0)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from commands import run
 from scipy.signal import lfilter, lfiltic
-
-from comparisons.cli import main
 
 PERIOD_S = 1e-3
 TAU_S = 0.018
@@ -56,10 +55,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
-
-
 def numbers(folder: Path, *arguments: object) -> dict[str, Any]:
     out = folder / "numbers.json"
     assert run("structure", *arguments, "--json", out) == 0
@@ -92,15 +87,6 @@ def test_terms_lag_and_errors_of_a_parabola_are_found(written: Path) -> None:
     signals = series_table(noise=0.0)
     for name in ("phi", "psi_p"):
         assert found["noise"][name] == pytest.approx(0.02 * signals[name].std(), rel=0.2)
-
-
-def test_the_path_and_the_candidates_hold_the_choice(written: Path) -> None:
-    found = json.loads((written / "n.json").read_text("utf-8"))
-    chosen = [row for row in found["path"] if row["chosen"]]
-    assert [row["terms"] for row in chosen] == [list(BETA)]
-    assert all(row["size"] == len(row["terms"]) for row in found["path"])
-    assert {term for row in found["path"] for term in row["terms"]} <= set(found["candidates"])
-    assert set(found["inclusion_probability"]) <= set(found["candidates"])
 
 
 def test_whole_runs_are_fitted_unless_rows_are_asked_for(

@@ -6,7 +6,8 @@ from argparse import ArgumentTypeError
 
 import numpy as np
 import pytest
-from lag_data import PERIOD_S, TAU_S, flow, lagged
+from comparison_data import fit_rows
+from lag_data import TAU_S, flow, lagged
 
 from comparisons.cli.shared import time_constant
 from comparisons.harness.tau_trial import (
@@ -19,16 +20,7 @@ from comparisons.results import FitRows, TauTrial
 def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:
     rng = np.random.default_rng(seed)
     phi = flow(n, rng)
-    return FitRows(
-        phi,
-        lagged(phi, "first") + noise * rng.standard_normal(n),
-        PERIOD_S * np.arange(n),
-        np.zeros(n, dtype=np.int64),
-        np.zeros(n, dtype=np.int64),
-        PERIOD_S,
-        "psi_p",
-        np.ones(n, dtype=np.bool_),
-    )
+    return fit_rows(phi, lagged(phi, "first") + noise * rng.standard_normal(n))
 
 
 def trial_over(rows: FitRows, taus_s: list[float], **options: object) -> TauTrial:

@@ -15,7 +15,6 @@ from comparisons.cli import main
 from comparisons.rig import CASES, write_run
 from comparisons.total_system import (
     TotalSystemState,
-    facility_toml,
     fit_total_system,
     measured_signals,
     read_facility,
@@ -142,25 +141,6 @@ def test_a_wrong_volume_lands_in_beta_and_a_wrong_start_in_a_single_run() -> Non
     assert abs(found["multiple-shooting", "start +10 ms"].tau_change) < 0.01
     assert found["aligned", "start +10 ms"].curve_change > 0.05
     assert "start +10 ms" in sensitivity_table(rows)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("discharge_m3 = 0.33637\n", "", "volumes.discharge_m3"),
-        ("discharge_m3", "discharge_m4", "discharge_m4"),
-        ("exhaust_pressure_frac = 0.562", "exhaust_pressure_frac = 1.5", "from 0 to 1"),
-        ("work_break_1 = 0.05", "work_break_1 = 0.5", "work_break_2"),
-    ],
-)
-def test_an_unusable_facility_is_named_by_file_and_key(
-    old: str, new: str, message: str, tmp_path: Path
-) -> None:
-    file = tmp_path / "facility.toml"
-    file.write_text(facility_toml(facility_of_case("985")).replace(old, new), "utf-8")
-    with pytest.raises(InputError, match=message) as refused:
-        read_facility(file)
-    assert "facility.toml" in str(refused.value)
 
 
 def test_a_record_that_cannot_be_used_is_refused() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import refused, run
 
-from comparisons.cli import main
 from comparisons.rig import simulate, write_run
 
 AT = np.array([0.02, 0.05, 0.1])
@@ -18,10 +18,6 @@ TRUE = 3.4 - 12.0 * np.minimum(AT, 0.05) + 4.0 * np.clip(AT - 0.05, 0.0, 0.075)
 def folder(tmp_path: Path, case: str, seed: int) -> Path:
     write_run(simulate(case, seed=seed), tmp_path / case)
     return tmp_path / case
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -52,9 +48,7 @@ def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
     case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw = folder(tmp_path, case, 0)
-    assert run("work", raw / "raw.csv", "--test", raw / "test.toml") == 2
-    said = capsys.readouterr().err.strip()
-    assert said.count("\n") == 0
+    said = refused(capsys, "work", raw / "raw.csv", "--test", raw / "test.toml")
     for words in ("no T31 that counts, so no W31", "limits"):
         assert words in said
 
@@ -73,8 +67,7 @@ def test_bad_options_are_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     raw = folder(tmp_path, "90", 0)
-    assert run("work", raw / "raw.csv", "--test", raw / "test.toml", *options) == 2
-    assert named in capsys.readouterr().err
+    assert named in refused(capsys, "work", raw / "raw.csv", "--test", raw / "test.toml", *options)
 
 
 def test_a_record_without_cycles_is_answered_without_a_curve(
@@ -92,6 +85,4 @@ def test_a_window_of_a_few_rows_is_no_traceback(
     raw = folder(tmp_path, "90", 1)
     test = raw / "test.toml"
     test.write_text(test.read_text("utf-8") + "\n[window]\nfrom_s = 2.0\nto_s = 2.02\n", "utf-8")
-    assert run("work", raw / "raw.csv", "--test", test) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.count("\n") == 0
+    refused(capsys, "work", raw / "raw.csv", "--test", test)

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from lag_data import flow, lagged
 from sklearn.utils.estimator_checks import check_estimator
 
 from sindy_surge import SparseLagRegressor
@@ -31,16 +32,8 @@ def test_scikit_learn_contract() -> None:
 @pytest.fixture(scope="module")
 def fitted() -> SparseLagRegressor:
     rng = np.random.default_rng(0)
-    phi = 0.23 + 0.27 * np.sin(np.cumsum(rng.uniform(0.02, 0.06, 2000)))
-    psi_p = np.empty(2000)
-    psi_p[0] = 0.4
-    forcing = 0.35 + 1.2 * phi - 1.9 * phi**2
-    pole = np.exp(-1 / 18)
-    ratio = (1 - pole) * 18
-    for k in range(1, 2000):
-        drive = (1 - ratio) * forcing[k] + (ratio - pole) * forcing[k - 1]
-        psi_p[k] = pole * psi_p[k - 1] + drive
-    psi_p += 0.0005 * rng.standard_normal(2000)
+    phi = flow(2000, rng)
+    psi_p = lagged(phi, "first") + 0.0005 * rng.standard_normal(2000)
     return SparseLagRegressor(sample_period_s=1e-3, hold="first").fit(phi[:, None], psi_p)
 
 

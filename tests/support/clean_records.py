@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+import shared_data
 from raw_data import make_test
 from rig_records import rig_record
 
@@ -22,7 +22,6 @@ from comparisons.rig import CASES
 __all__ = ["CLEAN", "INDEPENDENT", "SURGES", "clean_record", "rows_of", "with_channels"]
 
 INDEPENDENT = "independent"
-_FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "independent_rig_985"
 # Case and seed; seed and noise in counts.
 _RIGS = (*(f"{case}/1" for case in CASES), "985/2", "90/3", "blowdown/2")
 _MADE = ("made/0/0", "made/1/1", "made/2/5")
@@ -33,7 +32,7 @@ SURGES = tuple(name for name in CLEAN if not name.startswith("75-stall"))
 
 def clean_record(name: str) -> tuple[Record, TestDescription]:
     """Return a clean record of `CLEAN` with its description."""
-    if name == INDEPENDENT and not (_FOLDER / "raw.csv").is_file():
+    if name == INDEPENDENT and not (shared_data.INDEPENDENT / "raw.csv").is_file():
         pytest.skip("the shared data folder is not beside the repository (../shared/data)")
     return _loaded(name)
 
@@ -41,7 +40,7 @@ def clean_record(name: str) -> tuple[Record, TestDescription]:
 @cache
 def _loaded(name: str) -> tuple[Record, TestDescription]:
     if name == INDEPENDENT:
-        return read_raw(_FOLDER / "raw.csv", _FOLDER / "test.toml")
+        return read_raw(shared_data.INDEPENDENT / "raw.csv", shared_data.INDEPENDENT / "test.toml")
     if name.startswith("made/"):
         _, seed, noise = name.split("/")
         cells = 6.0 if float(noise) else 0.0

@@ -15,6 +15,7 @@ from comparisons.results import (
     Comparison,
     ComparisonRow,
     EstimatorResult,
+    FitRows,
     FitScore,
     FittedLag,
 )
@@ -63,6 +64,15 @@ def made_series(
     return CoefficientSeries(
         np.arange(n) * PERIOD_S, phi, psi_p, segment, source=source, history=history
     )
+
+
+def fit_rows(phi: np.ndarray, measured: np.ndarray, n_segments: int = 1) -> FitRows:
+    """Rows of one record in segments of equal length."""
+    n = phi.size
+    labels, record = np.arange(n) * n_segments // n, np.zeros(n, dtype=np.int64)
+    clock = PERIOD_S * np.arange(n)
+    train = np.ones(n, dtype=np.bool_)
+    return FitRows(phi, measured, clock, labels, record, PERIOD_S, "psi_p", train)
 
 
 def made_comparison(

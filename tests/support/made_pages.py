@@ -12,7 +12,6 @@ from comparison_data import made_comparison, made_series
 from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
-from comparisons.harness.structure_fit import FoundStructure
 from comparisons.page.blocks import Part, Words
 from comparisons.results import Caution, Truth
 from comparisons.show.report import ReportSection, render_report
@@ -89,21 +88,6 @@ def _system(name: str) -> str:
     return diagnosis_report({name: d}, f"sindy-surge diagnose --model {name}")
 
 
-@cache
-def _found() -> FoundStructure:
-    from comparisons.harness.structure_fit import find_structure
-
-    return find_structure([made_series(n=1200, n_segments=3)], n_bootstrap=5, max_terms=4)
-
-
-def _structure(name: str) -> str:
-    from comparisons.show.structure_report import structure_report
-
-    found = _found()
-    records = tuple(replace(record, source=name) for record in found.records)
-    return structure_report(replace(found, records=records), command=f"structure {name}")
-
-
 def _study(name: str) -> str:
     from comparisons.study.report import render_study_report
     from comparisons.study.spec import spec_from
@@ -161,7 +145,6 @@ PAGES: dict[str, Callable[[str], str]] = {
     "reduce": _reduce,
     "diagnose": _diagnose,
     "system": _system,
-    "structure": _structure,
     "study": _study,
     "reproduce": _reproduce,
 }

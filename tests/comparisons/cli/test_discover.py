@@ -7,17 +7,28 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from commands import refused
+from surge_machines import STEP_S, draw, measured
 
+from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
+from comparisons.cli.discover_loop import (
+    discover_series_loop,
+    loop_document,
+    loop_parts,
+    loop_text,
+)
+from comparisons.page.html import render_page
+from surge_core.files import to_strict_json
 
-STEP_S = 0.05
+PERIOD_S = 0.05
 
 
 @pytest.fixture
 def files(tmp_path):
     """Two swings of a damped oscillator, x'' = -x - 0.2 x'."""
     rng = np.random.default_rng(8)
-    times = np.arange(600) * STEP_S
+    times = np.arange(600) * PERIOD_S
     rate = -0.1 + 1j * np.sqrt(1 - 0.01)
     paths = []
     for number, start in enumerate((2.0, 1.0 - 1.5j)):
@@ -78,7 +89,33 @@ def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
         table = pd.read_csv(files[0], dtype=object)
         table.loc[spoil[1], spoil[0]] = spoil[2]
         table.to_csv(files[0], index=False)
-    assert main(["discover", str(files[0]), *options]) == 2
-    said = capsys.readouterr().err.strip()
-    assert named in said
-    assert len(said.splitlines()) == 1
+    assert named in refused(capsys, "discover", files[0], *options)
+
+
+def test_a_series_gives_text_document_and_report() -> None:
+    machine, states, _ = draw(0, "two")
+    phi, psi_p, plenum = measured(states, 0.01, 3).T
+    n = phi.size
+    series = CoefficientSeries(np.arange(n) * STEP_S, phi, psi_p, np.ones(n, dtype=np.int64))
+    loop = discover_series_loop(series, plenum)
+    document = loop_document(loop)
+    to_strict_json(document)
+    assert document["schema"] == "sindy-surge/discover/1"
+    assert [b["name"] for b in document["branches"]] == ["stalled", "unstalled"]
+    assert abs(document["levels"]["recover_phi"]["value"] - machine.levels[0]) < 0.005
+    assert [t["name"] for t in document["equations"][1]["terms"]] == ["phi", "sqrt(plenum)"]
+    assert document["fit_state"]["code"] == loop.state.code
+    assert any("[stalled]" in line for line in loop_text(loop))
+    page = render_page([("s", loop_parts(loop, "s.csv"))], title="t", command="c")
+    assert "Surge loop of s.csv" in page
+
+
+def test_a_plenum_that_was_not_measured_is_taken_from_the_duct() -> None:
+    machine, states, _ = draw(0, "two")
+    phi, psi_p, _ = measured(states, 0.005, 3).T
+    n = phi.size
+    series = CoefficientSeries(np.arange(n) * STEP_S, phi, psi_p, np.ones(n, dtype=np.int64))
+    loop = discover_series_loop(series)
+    assert loop.plenum_hidden
+    assert loop.n_branches == 2
+    assert abs(loop.time_constant_s / machine.tau_s - 1) < 0.01

@@ -13,18 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import refused, run
 from effect_data import series_of
 
 from classic_ml.io.series import read_series, write_series
-from comparisons.cli import main
 from comparisons.missing_effect.base_terms import discovered_terms
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 
 N = 1000
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 def written(test: CoefficientTest, folder: Path) -> list[Path]:
@@ -157,10 +153,7 @@ def test_records_that_cannot_be_used_are_refused_in_one_sentence(
         ([untouched.paths[0], "--max-effects", 9], "a whole number from 1 to 3, found 9"),
         ([untouched.paths[0], "--max-effects", 0], "a whole number from 1 to 3, found 0"),
     ):
-        assert run("diagnose", *files) == 2
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+        assert words in refused(capsys, "diagnose", *files)
 
 
 def test_a_model_without_a_name_is_not_saved_and_no_error(

@@ -20,10 +20,8 @@ from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
-from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.extended_estimator import extended_specs
 from comparisons.missing_effect.extended_file import (
-    extended_from_json,
     load_extended,
     save_extended,
 )
@@ -117,22 +115,6 @@ def test_adding_an_effect_and_fitting_again_recovers_it_within_its_errors(
     # Ten numbers: their rms is above 1.7 but once in a thousand times.
     assert float(np.sqrt(np.mean(np.square(z)))) < 1.9
     assert float(np.max(np.abs(z))) < 4.5
-
-
-def test_an_effect_that_was_just_added_does_nothing_until_it_is_fitted(
-    tests: dict[str, CoefficientTest],
-) -> None:
-    record = series_of(tests["hysteresis"])[0]
-    before = plain_lag([record])
-    for effect in CATALOGUE:
-        if effect.port == "noise":
-            continue
-        after = before.with_effect(effect)
-        assert len(before.effects) == 0
-        assert np.array_equal(after.simulate(record), before.simulate(record), equal_nan=True)
-        assert extended_from_json(json.loads(json.dumps(after.to_json()))).effects[0].values[
-            0
-        ] == pytest.approx(0.0)
 
 
 def test_a_wrong_start_dies_away_with_the_lag() -> None:

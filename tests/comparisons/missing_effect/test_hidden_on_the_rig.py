@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rig_records import rig_series
+from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
@@ -32,11 +33,6 @@ TAU_MS = 18.0
 # Enough for the scatter of a null to be known to a fifth.
 N_TWINS = 12
 LOSS = "reverse_flow_branch"
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "independent_rig_985"
-independent = pytest.mark.skipif(
-    not (SHARED / "raw.csv").is_file(),
-    reason="the shared data folder is not beside the repository (../shared/data)",
-)
 
 
 @cache
@@ -50,7 +46,7 @@ def altered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | None], 
 
     def diagnosis(what: str | None) -> Diagnosis:
         folder = tmp_path_factory.mktemp("independent")
-        header, *rows = (SHARED / "raw.csv").read_text("utf-8").splitlines()
+        header, *rows = (INDEPENDENT / "raw.csv").read_text("utf-8").splitlines()
         names = header.split(",")
         table = np.array([row.split(",") for row in rows], dtype=np.float64)
         p31 = [column for column, name in enumerate(names) if name.startswith("P31")]
@@ -63,7 +59,7 @@ def altered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | None], 
         np.savetxt(
             folder / "raw.csv", table, fmt="%.10g", delimiter=",", header=header, comments=""
         )
-        (folder / "test.toml").write_bytes((SHARED / "test.toml").read_bytes())
+        (folder / "test.toml").write_bytes((INDEPENDENT / "test.toml").read_bytes())
         return diagnose([series_of(folder)], n_twins=N_TWINS)
 
     return diagnosis
@@ -122,12 +118,6 @@ def test_a_second_pattern_of_cells_is_found_at_its_frequency() -> None:
     assert tau_error_ms(d.tau_after_s) < 3.0
 
 
-def test_more_loss_in_reversed_flow_is_found_as_more() -> None:
-    more, plain = (diagnosed("90", hidden) for hidden in (LOSS, None))
-    # 2.5 times; where it is stiff the flow no longer goes deep, and the loss reads low.
-    assert 1.2 < value_of(more, LOSS, "c") / value_of(plain, LOSS, "c") < 3.0
-
-
 def test_a_wrong_inertia_is_named_or_said_to_be_out_of_reach() -> None:
     d = diagnosed("90", "flow_inertia")
     named = {name for item in d.missing for name in item.alias_set}
@@ -181,7 +171,7 @@ def test_a_user_walks_from_simulate_to_a_name(
     assert all(sizes[row["effect"]] == row["size"] > 0.0 for row in found["not_there"])
 
 
-@independent
+@needs_independent
 def test_the_other_rig_s_record_lacks_the_loss_in_reversed_flow_alone(
     altered: Callable[[str | None], Diagnosis],
 ) -> None:
@@ -190,7 +180,7 @@ def test_the_other_rig_s_record_lacks_the_loss_in_reversed_flow_alone(
     assert tau_error_ms(d.tau_after_s) < 1.5
 
 
-@independent
+@needs_independent
 @pytest.mark.parametrize(
     ("what", "one_of"),
     [

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.rig import SensorSettings, simulate
+from comparisons.rig import SensorSettings, gas, simulate
 from comparisons.rig.sensors import counts_from_volts, lag, tube
 
 FS = 10_000.0
@@ -72,3 +72,11 @@ def test_noise_in_the_record_is_what_the_anti_alias_filter_leaves() -> None:
     left = [np.std(filtered.raw[n][:150]) for n in raw.channels if n.startswith("P")]
     # Noise bandwidth of the filter over half the plant's rate.
     assert np.mean(left) == pytest.approx(4.096 * np.sqrt(1.026 * 450.0 / 5_000.0), rel=0.1)
+
+
+def test_flow_constant_is_that_of_the_paper_in_both_systems_of_units() -> None:
+    assert pytest.approx(416.86, abs=0.01) == gas.FLOW_CONSTANT_KG_S_M2
+    in_us = gas.FLOW_CONSTANT_KG_S_M2 / gas.LBM_KG * 0.3048**2
+    assert in_us == pytest.approx(85.38, abs=0.005)
+    choked = gas.corrected_flow_kg_s(1.0, 0.3048**2) / gas.LBM_KG
+    assert choked == pytest.approx(49.4, abs=0.05)

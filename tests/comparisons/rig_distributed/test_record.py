@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from commands import refused
 
 from classic_ml.io.raw import read_raw
 from classic_ml.reduction import reduce_record
-from comparisons.cli import main
 from comparisons.rig_distributed import (
     DistributedRun,
     Instruments,
@@ -134,18 +134,4 @@ def test_a_folder_that_holds_something_is_refused(quiet: DistributedRun, drawn: 
 def test_what_a_rig_lacks_is_refused_in_one_sentence(
     options: list[str], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["simulate", *options, "-o", str(tmp_path / "r")]) == 2
-    said = capsys.readouterr().err.strip()
-    assert named in said
-    assert len(said.splitlines()) == 1
-
-
-def test_the_command_writes_the_files_of_the_format(tmp_path: Path) -> None:
-    folder = tmp_path / "record"
-    options = ["simulate", "--rig", "distributed", "--duration", "0.2", "-o", str(folder)]
-    assert main(options) == 0
-    raw, test = read_raw(folder / "raw.csv", folder / "test.toml")
-    assert raw.n_samples == 201
-    assert len(test.channels) == 20
-    about = tomllib.loads((folder / "truth" / "truth.toml").read_text("utf-8"))
-    assert len(about["quasi_steady"]["phi"]) == len(about["quasi_steady"]["psi_p"])
+    assert named in refused(capsys, "simulate", *options, "-o", tmp_path / "r")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import system_models as make
 import system_truths as truth
+from made_systems import STATES, fit_of, machine, placed_at
 
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE, find_system_effect
 from comparisons.missing_effect.systems.catalogue_parts import against_storing
@@ -270,3 +271,17 @@ def test_a_definition_may_be_scaled() -> None:
 )
 def test_units_cancel(factors: tuple[tuple[str, float], ...], wanted: str) -> None:
     assert product_of_units(*factors) == wanted
+
+
+@pytest.mark.parametrize(
+    ("speed", "reach"),
+    [("m/s", "m"), ("rad/s", "rad"), ("1/s", "1"), ("m/s²", "m/s"), ("1", "s"), ("A", "A·s")],
+)
+def test_what_a_rate_sums_up_to_has_the_unit_of_the_sum(speed: str, reach: str) -> None:
+    model = machine()
+    model = replace(model, states={**STATES, "v": speed})
+    effect = placed_at(model, "hysteresis")
+    fit = fit_of(model, (effect,), ())
+    clock = np.array([0.0, 0.02, 0.0, 1.0])
+    _, second, _ = numbers_of(fit, effect, np.eye(fit.theta.size), clock)
+    assert (second.name, second.unit) == ("reach", reach)
