@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 from comparisons.cli.shared import (
@@ -22,31 +22,16 @@ from comparisons.cli.shared import (
 __all__ = ["BENCH_SCHEMA", "COMMAND"]
 
 BENCH_SCHEMA = "sindy-surge/bench/1"
-HEADS = {
-    "method": "method",
-    "machines": "machines",
-    "answers": "answers",
-    "within": "within 2 ms or 10 %",
-    "covered": "interval holds τ",
-    "gross": "gross",
-    "curves": "curves",
-    "curves_within": "curve within 0.15",
-    "named": "firm names",
-    "false_names": "false names",
-    "crashes": "crashes",
-    "median_error_ms": "median |error| [ms]",
-    "seconds": "s a record",
-}
 
 
 def _run(given: argparse.Namespace) -> Iterator[str]:
     from joblib import cpu_count
 
     from comparisons.missing_effect.firm_names import FirmNames
-    from comparisons.page.blocks import Head, Part, Picture, Table, Words
+    from comparisons.page.blocks import Part, Picture, Table, Words
     from comparisons.page.html import render_page
     from comparisons.show.figures import write_figures
-    from comparisons.study.bench import BenchRow, bench_rows, bench_spec, draw_ranks, ranks_of
+    from comparisons.study.bench import COUNTS, bench_rows, bench_spec, draw_ranks, ranks_of
     from comparisons.study.design import cells_of
     from comparisons.study.run import check_study, run_study
     from surge_core.display import Grid
@@ -68,36 +53,32 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
             progress=progress,
         )
     rows, ranks = bench_rows(table), ranks_of(table)
-    names = [field.name for field in fields(BenchRow)]
     cells = tuple(
         tuple(
             value if isinstance(value, str) else str(value) if isinstance(value, int)
-            else significant(value, 3) for value in (getattr(row, name) for name in names)
+            else significant(value, 3) for value in row.values()
         )
         for row in rows
     )  # fmt: skip
-    heads = tuple(HEADS[name] for name in names)
-    grid = Grid(spec.title, heads, cells, frozenset({0}))
+    grid = Grid(spec.title, tuple(COUNTS.values()), cells, frozenset({0}))
     mean = ", ".join(f"{m} {r:.2f}" for m, r in zip(ranks.methods, ranks.mean, strict=True))
     said = (
         f"mean rank by |error of τ|, a refusal last: {mean}; critical difference "
         f"{ranks.critical_difference:.2f} (Nemenyi, 5 %); chance of such ranks if all were alike "
         f"{significant(ranks.p_value, 2)} (Friedman)"
     )
-    shown = Table(
-        spec.title, tuple(Head(head, numeric=i > 0) for i, head in enumerate(heads)), cells
-    )
     picture = Picture.of("Mean ranks", draw_ranks(ranks), said, said)
-    pages = [("Methods on machines drawn at random", (Part("", (shown, Words(said), picture)),))]
+    parts = (Part("", (Table.of(grid), Words(said), picture)),)
+    pages = [("Methods on machines drawn at random", parts)]
     write_whole(
         folder / "report.html", render_page(pages, title=spec.title, command=command_line())
     )
     n = write_figures(pages, folder)
     document = {
         "schema": BENCH_SCHEMA,
-        "machines": rows[0].machines,
+        "machines": rows[0]["machines"],
         "seed": given.seed,
-        "methods": [asdict(row) for row in rows],
+        "methods": rows,
         "ranks": asdict(ranks),
     }
     yield from (grid.title, *grid.lines(), "", said, "")

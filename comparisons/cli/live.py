@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from comparisons.cli.reduce import SERIES_SUFFIXES
 from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
-from comparisons.cli.shared import Command, argument, whole
+from comparisons.cli.shared import Command, argument, number, whole
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target
 
@@ -142,20 +142,16 @@ def _feed(given: argparse.Namespace) -> Feed:
 
 
 def _address(text: str) -> tuple[str, int]:
-    from comparisons.live.feeds import parse_address
-
+    """Return host and port of ``[HOST:]PORT``; the host is this machine without one."""
+    host, _, port = text.rpartition(":")
     try:
-        return parse_address(text)
-    except ValueError:
+        return host.strip("[]") or "127.0.0.1", whole(0, 65_535)(port)
+    except argparse.ArgumentTypeError:
         raise argparse.ArgumentTypeError(f"expected HOST:PORT or PORT, found {text!r}") from None
 
 
 def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
+    if (value := number(text)) <= 0.0:
         raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text!r}")
     return value
 

@@ -47,7 +47,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         "record": record.source,
         "facility": origin,
         "fit": fit.to_json(),
-        "sensitivity": [row.to_json() for row in rows],
+        "sensitivity": rows,
     }
     written = write_asked(
         given, json=lambda: document, save_facility=lambda: method.facility_toml(facility)

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
 from classic_ml.cycles import DEEP_SHARE, LEAST_SWING
 from classic_ml.flow import LBM_KG
 from classic_ml.io import TestDescription
 from classic_ml.segments import SHORTEST_S
-from comparisons.live.operating_point import OperatingPoints, low_pass_delay_s
+from comparisons.live.operating_point import low_pass_delay_s
 
 __all__ = ["CycleCounter", "Sighting", "SurgeDetector"]
 
@@ -149,18 +150,16 @@ class SurgeDetector:
         """Median period of the last cycles; NaN before there is one."""
         return self._counter.period_s
 
-    def take(self, points: OperatingPoints) -> list[Sighting]:
+    def take(self, points: pd.DataFrame) -> list[Sighting]:
         """Return what the next operating points show; rows without one are passed over.
 
         Parameters
         ----------
-        points : OperatingPoints
-            Rows that follow on those before.
+        points : DataFrame
+            Rows that follow on those before, as of `points_of`.
         """
-        known = np.isfinite(points.Wc25_kg_s)
-        columns = (points.time_s, points.Wc25_kg_s, points.P31_Pa)
-        rows = zip(*(column[known].tolist() for column in columns), strict=True)
-        return [sighting for row in rows for sighting in self._row(*row)]
+        rows = points[["time_s", "Wc25_kg_s", "P31_Pa"]].dropna(subset="Wc25_kg_s")
+        return [sighting for row in rows.to_numpy().tolist() for sighting in self._row(*row)]
 
     def _row(self, time_s: float, flow_kg_s: float, pressure_Pa: float) -> list[Sighting]:
         seen = self._surge(time_s, flow_kg_s)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from classic_ml.flow import LBM_KG
-from comparisons.live.estimate import Estimate
-from comparisons.live.operating_point import OperatingPoints
-from surge_core.rounding import round_to_error
+from comparisons.live.monitor import Monitor
 
-__all__ = ["LiveState", "Terminal", "page_document", "tau_words"]
+__all__ = ["Terminal", "live_document"]
 
 CLEAR_LINE = "\r\x1b[K"
 # The quantities of an operating point: label, name, factor and format.
@@ -27,111 +25,54 @@ QUANTITIES: tuple[tuple[str, str, float, str], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class LiveState:
-    """Everything that is shown.
-
-    Parameters
-    ----------
-    test, feed, record : str
-        Name of the test; how the feed does and what was kept of it, in words.
-    phase : {"waiting", "running", "reducing", "done"}
-        How far the session is.
-    machine : str
-        ``"stable"``, ``"in stall"``, ``"surge"`` or ``"not known"``.
-    point : OperatingPoints or None
-        The newest one.
-    n_cycles : int
-        Complete surge cycles.
-    period_s : float
-        Their median period; NaN before there are two troughs.
-    estimate : Estimate or None
-        The newest provisional fit.
-    trail : tuple of tuple of float
-        (time, φ, ψ') of the last seconds, thinned out.
-    events : tuple of str
-        The last ones, the newest at the end.
-    """
-
-    test: str
-    phase: str
-    feed: str
-    record: str = ""
-    machine: str = "not known"
-    point: OperatingPoints | None = None
-    n_cycles: int = 0
-    period_s: float = math.nan
-    estimate: Estimate | None = None
-    trail: tuple[tuple[float, ...], ...] = field(default=(), repr=False)
-    events: tuple[str, ...] = ()
-
-
-def _fields(state: LiveState) -> list[tuple[str, str]]:
-    """Return label and value of everything that is shown in words."""
-    cycles = str(state.n_cycles)
-    if math.isfinite(state.period_s):
-        cycles += f", one every {1e3 * state.period_s:.0f} ms ({1.0 / state.period_s:.2f} Hz)"
-    return [
-        ("feed", state.feed),
-        ("machine", state.machine),
-        *((how[0], _quantity(state.point, *how[1:])) for how in QUANTITIES),
-        ("surge cycles", cycles),
-        ("time constant τ", tau_words(state.estimate)),
-        ("record", state.record),
-    ]
-
-
-def _quantity(point: OperatingPoints | None, name: str, factor: float, form: str) -> str:
-    value = math.nan if point is None else factor * float(getattr(point, name)[-1])
-    return form.format(value) if math.isfinite(value) else "–"
-
-
-def tau_words(estimate: Estimate | None) -> str:
-    """Return the time constant as it is shown.
-
-    Parameters
-    ----------
-    estimate : Estimate or None
-        The newest fit.
-    """
-    if estimate is None:
-        return "not yet estimated"
-    if estimate.why_not:
-        return f"not yet: {estimate.why_not}"
-    tau = round_to_error(1e3 * estimate.tau_s, 1e3 * estimate.tau_stderr_s)
-    return f"{tau} ms, provisional"
-
-
-def _status_line(state: LiveState) -> str:
-    """Return the moment in one line of a terminal; what matters most first, since it may be cut."""
-    values = dict(_fields(state))
-    labels = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
-    return "  ".join(f"{label} {values[label]}" for label in labels)
-
-
-def page_document(state: LiveState) -> dict[str, Any]:
+def live_document(
+    monitor: Monitor, *, test: str, phase: str, feed: str, record: str, events: Sequence[str]
+) -> dict[str, Any]:
     """Return the moment as plain types, as the page takes it.
 
     Parameters
     ----------
-    state : LiveState
-        The moment.
+    monitor : Monitor
+        What is known of the machine.
+    test, feed, record : str
+        Name of the test; how the feed does and what was kept of it, in words.
+    phase : {"waiting", "running", "reducing", "done"}
+        How far the session is.
+    events : sequence of str
+        The last ones, the newest at the end.
     """
-    estimate = state.estimate
+    detector, estimate, point = monitor.detector, monitor.estimate, monitor.point
+    cycles, period_s = str(detector.n_cycles), detector.period_s
+    if math.isfinite(period_s):
+        cycles += f", one every {1e3 * period_s:.0f} ms ({1.0 / period_s:.2f} Hz)"
+    fields = {"feed": feed, "machine": monitor.machine}
+    for label, name, factor, form in QUANTITIES:
+        value = factor * point.get(name, math.nan)
+        fields[label] = form.format(value) if math.isfinite(value) else "–"
+    fields["surge cycles"] = cycles
+    fields["time constant τ"] = "not yet estimated" if estimate is None else estimate.words
+    fields["record"] = record
     known = estimate is not None and not estimate.why_not
     return {
         "schema": "sindy-surge/live/1",
-        "test": state.test,
-        "phase": state.phase,
-        "machine": state.machine,
-        "fields": [{"label": label, "value": value} for label, value in _fields(state)],
-        "trail": state.trail,
+        "test": test,
+        "phase": phase,
+        "machine": monitor.machine,
+        "fields": [{"label": label, "value": value} for label, value in fields.items()],
+        "trail": list(monitor.trail),
         "tau_ms": [1e3 * estimate.tau_s, 1e3 * estimate.tau_stderr_s]
         if estimate is not None and known
         else None,
         "curve": estimate.curve if estimate is not None else [],
-        "events": state.events,
+        "events": list(events),
     }
+
+
+def _status_line(document: dict[str, Any]) -> str:
+    """Return the moment in one line of a terminal; what matters most first, since it may be cut."""
+    values = {field["label"]: field["value"] for field in document["fields"]}
+    labels = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
+    return "  ".join(f"{label} {values[label]}" for label in labels)
 
 
 class Terminal:
@@ -151,11 +92,11 @@ class Terminal:
         """Write an event."""
         self._write(_plain(event) + "\n")
 
-    def show(self, state: LiveState) -> None:
+    def show(self, document: dict[str, Any]) -> None:
         """Write the state over the one before."""
         if self._moving:
             width = shutil.get_terminal_size().columns - 1
-            self._write(_plain(_status_line(state))[:width])
+            self._write(_plain(_status_line(document))[:width])
 
     def close(self) -> None:
         """Leave the line."""

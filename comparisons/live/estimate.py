@@ -14,6 +14,7 @@ from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from surge_core.errors import InputError
+from surge_core.rounding import round_to_error
 
 __all__ = ["Estimate", "estimate_of"]
 
@@ -38,6 +39,13 @@ class Estimate:
     tau_s: float = float("nan")
     tau_stderr_s: float = float("nan")
     curve: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The time constant as it is shown."""
+        if self.why_not:
+            return f"not yet: {self.why_not}"
+        return f"{round_to_error(1e3 * self.tau_s, 1e3 * self.tau_stderr_s)} ms, provisional"
 
 
 def estimate_of(record: Record, test: TestDescription, settings: ReductionSettings) -> Estimate:

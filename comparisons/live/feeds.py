@@ -13,7 +13,7 @@ from pathlib import Path
 
 from surge_core.errors import InputError
 
-__all__ = ["Closed", "Feed", "Opened", "listening", "parse_address", "piped"]
+__all__ = ["Closed", "Feed", "Opened", "listening", "piped"]
 
 CHUNK = 65_536
 # 2,000 columns of 30 characters: more than any test has, and nothing beside the memory.
@@ -154,23 +154,3 @@ def listening(address: tuple[str, int] | Path) -> Feed:
             feed.arrivals.put(Closed(why))
 
     return Feed(f"waiting for a sender at {place}", read)
-
-
-def parse_address(text: str) -> tuple[str, int]:
-    """Return host and port of ``[HOST:]PORT``; the host is this machine without one.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Raises
-    ------
-    ValueError
-        When it is no address.
-    """
-    host, _, port = text.rpartition(":")
-    number = int(port)
-    if not 0 <= number <= 65_535:
-        raise ValueError(text)
-    return host.strip("[]") or "127.0.0.1", number

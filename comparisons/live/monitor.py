@@ -9,19 +9,14 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
+import pandas as pd
 
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, near_stall_shifts
 from comparisons.live.detection import Sighting, SurgeDetector
-from comparisons.live.display import tau_words
 from comparisons.live.estimate import Estimate, estimate_of
-from comparisons.live.operating_point import (
-    SETTLED_S,
-    OperatingPoints,
-    points_of,
-)
+from comparisons.live.operating_point import SETTLED_S, points_of
 from surge_core.errors import InputError
 
 __all__ = ["FEED", "Monitor"]
@@ -52,8 +47,8 @@ class Monitor:
     ----------
     head : bytes
         Header and units of the rows.
-    point : OperatingPoints or None
-        The newest one.
+    point : dict of str to float
+        The newest operating point; empty before there is one.
     trail : deque of tuple of float
         Time, φ and ψ' of the last seconds, thinned out.
     estimate : Estimate or None
@@ -79,7 +74,7 @@ class Monitor:
         self.detector = SurgeDetector(test)
         self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
         self.head = b""
-        self.point: OperatingPoints | None = None
+        self.point: dict[str, float] = {}
         self.estimate: Estimate | None = None
         self.restart()
 
@@ -174,7 +169,7 @@ class Monitor:
     @property
     def machine(self) -> str:
         """``"surge"``, ``"in stall"``, ``"stable"`` or ``"not known"``."""
-        if self.point is None:
+        if not self.point:
             return "not known"
         if self.detector.surging:
             return "surge"
@@ -208,13 +203,12 @@ class Monitor:
         self._test = replace(self._test, near_stall_shifts=shifts)
         return ["matched to the near-stall reading of the facility"]
 
-    def _remember(self, points: OperatingPoints) -> None:
-        if not points.time_s.size:
+    def _remember(self, points: pd.DataFrame) -> None:
+        if points.empty:
             return
-        self.point = points.part(slice(-1, None))
-        rows = slice(-self._n_points % self._stride, None, self._stride)
-        kept = np.column_stack([points.time_s, points.phi, points.psi_p])[rows]
-        self.trail.extend(map(tuple, kept.tolist()))
+        self.point = {str(name): float(value) for name, value in points.iloc[-1].items()}
+        kept = points[["time_s", "phi", "psi_p"]][-self._n_points % self._stride :: self._stride]
+        self.trail.extend(map(tuple, kept.to_numpy().tolist()))
 
     def _estimated(self, estimate: Estimate) -> list[str]:
         known = self.estimate is not None and not self.estimate.why_not
@@ -222,7 +216,7 @@ class Monitor:
             # The estimate before it stays.
             return []
         self.estimate = estimate
-        return [] if known or estimate.why_not else [f"first estimate of τ: {tau_words(estimate)}"]
+        return [] if known or estimate.why_not else [f"first estimate of τ: {estimate.words}"]
 
 
 def _said(sighting: Sighting) -> str:

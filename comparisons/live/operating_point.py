@@ -7,9 +7,10 @@ same calibration, one pass of the same low-pass over every channel, the same ave
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from classic_ml.calibration import calibrate, near_stall_match
 from classic_ml.coefficients import coefficients
@@ -17,9 +18,8 @@ from classic_ml.filters import filter_channels, phase_delay_s
 from classic_ml.io import TestDescription
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
-from surge_core.types import FloatArray
 
-__all__ = ["CUTOFF_HZ", "ORDER", "SETTLED_S", "OperatingPoints", "low_pass_delay_s", "points_of"]
+__all__ = ["CUTOFF_HZ", "ORDER", "SETTLED_S", "low_pass_delay_s", "points_of"]
 
 # The low-pass of the reduction (ReductionSettings), run once.
 ORDER, CUTOFF_HZ = 3, 48.0
@@ -28,33 +28,6 @@ SETTLED_S = 0.25
 # The surge frequencies at which the delay is stated.
 SURGE_HZ = 10.0
 NEEDED = ("P25_Pa", "P31_Pa", "T25_K", "W25_kg_s", "Wc25_kg_s")
-
-
-@dataclass(frozen=True)
-class OperatingPoints:
-    """Operating points of rows that follow one another.
-
-    Parameters
-    ----------
-    time_s : ndarray of shape (n,)
-        Facility clock.
-    Wc25_kg_s, P31_Pa, pressure_ratio : ndarray of shape (n,)
-        Corrected inlet flow, pressure behind the machine and P31/P25.
-    phi, psi_p, Nc_frac : ndarray of shape (n,)
-        φ, ψ' and the corrected speed.
-    """
-
-    time_s: FloatArray
-    Wc25_kg_s: FloatArray
-    P31_Pa: FloatArray
-    pressure_ratio: FloatArray
-    phi: FloatArray
-    psi_p: FloatArray
-    Nc_frac: FloatArray
-
-    def part(self, rows: slice) -> OperatingPoints:
-        """Return some of the rows."""
-        return OperatingPoints(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def low_pass_delay_s(rate_hz: float) -> float:
@@ -80,7 +53,7 @@ def _is_filtered(rate_hz: float) -> bool:
     return rate_hz > 2.0 * CUTOFF_HZ
 
 
-def points_of(record: Record, test: TestDescription, first: int) -> OperatingPoints:
+def points_of(record: Record, test: TestDescription, first: int) -> pd.DataFrame:
     """Return the operating points of rows, but for the last one.
 
     Parameters
@@ -91,6 +64,12 @@ def points_of(record: Record, test: TestDescription, first: int) -> OperatingPoi
         The test; matched at near stall where it states the shifts.
     first : int
         First row that is asked for.
+
+    Returns
+    -------
+    DataFrame
+        Facility clock ``time_s``; corrected inlet flow ``Wc25_kg_s``, ``P31_Pa`` and
+        ``pressure_ratio`` P31/P25; φ, ψ' and corrected speed: ``phi``, ``psi_p``, ``Nc_frac``.
 
     Raises
     ------
@@ -105,13 +84,8 @@ def points_of(record: Record, test: TestDescription, first: int) -> OperatingPoi
     averages = plane_averages(local_flows(matched, test), test)
     needed = replace(averages, channels={name: averages.channel(name) for name in NEEDED})
     found = coefficients(needed, test)
-    points = OperatingPoints(
-        record.start_s + np.arange(record.n_samples) / record.sample_rate_hz,
-        found["Wc25_kg_s"],
-        found["P31_Pa"],
-        found["P31_Pa"] / found["P25_Pa"],
-        found["phi"],
-        found["psi_p"],
-        found["Nc_frac"],
-    )
-    return points.part(slice(first, record.n_samples - 1))
+    names = ("Wc25_kg_s", "P31_Pa", "phi", "psi_p", "Nc_frac")
+    points = pd.DataFrame({name: found[name] for name in names})
+    points["time_s"] = record.start_s + np.arange(record.n_samples) / record.sample_rate_hz
+    points["pressure_ratio"] = found["P31_Pa"] / found["P25_Pa"]
+    return points[first:-1]

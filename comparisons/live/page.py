@@ -7,7 +7,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from typing import Any
 
-from comparisons.live.display import LiveState, page_document
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
 
@@ -37,7 +36,7 @@ class Page:
 
     def __init__(self, port: int) -> None:
         self._page = (resources.files(__package__) / "web" / "page.html").read_bytes()
-        self._state: LiveState | None = None
+        self._document: dict[str, Any] = {}
         page = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -48,10 +47,13 @@ class Page:
                     f"localhost:{page.port}",
                 ):
                     return self.send_error(421)
-                answers = {"/": page.whole, "/state.json": page.numbers}
-                if self.path not in answers:
+                if self.path == "/":
+                    content, kind = page._page, "text/html"
+                elif self.path == "/state.json":
+                    content = to_strict_json(page._document).encode("utf-8")
+                    kind = "application/json"
+                else:
                     return self.send_error(404)
-                content, kind = answers[self.path]()
                 self.send_response(200)
                 self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.send_header("Content-Length", str(len(content)))
@@ -76,20 +78,11 @@ class Page:
     def say(self, event: str) -> None:
         """Do nothing: events come with the states."""
 
-    def show(self, state: LiveState) -> None:
+    def show(self, document: dict[str, Any]) -> None:
         """Serve another state from now on."""
-        self._state = state
+        self._document = document
 
     def close(self) -> None:
         """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
-
-    def whole(self) -> tuple[bytes, str]:
-        """Return the page and its type."""
-        return self._page, "text/html"
-
-    def numbers(self) -> tuple[bytes, str]:
-        """Return the newest state as JSON, and its type."""
-        document = {} if self._state is None else page_document(self._state)
-        return to_strict_json(document).encode("utf-8"), "application/json"

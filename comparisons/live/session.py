@@ -9,11 +9,11 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Protocol
+from typing import Any, Protocol
 
 from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.live.display import LiveState
+from comparisons.live.display import live_document
 from comparisons.live.feeds import Closed, Feed, Opened
 from comparisons.live.monitor import FEED, Monitor
 from comparisons.live.pieces import Pieces
@@ -35,8 +35,8 @@ class Screen(Protocol):
     def say(self, event: str) -> None:
         """Show an event."""
 
-    def show(self, state: LiveState) -> None:
-        """Show a state."""
+    def show(self, document: dict[str, Any]) -> None:
+        """Show a state, as `live_document` gives it."""
 
 
 @dataclass
@@ -140,27 +140,21 @@ class Session:
         phase : {"waiting", "running", "reducing", "done"}
             How far the session is.
         """
-        monitor = self.monitor
         record = f"{self.pieces.n_rows} rows"
         if len(self.pieces.pieces) > 1:
             record += f", in {len(self.pieces.pieces)} pieces"
         if self.refused.total() + self.order.repeated:
             record += f", {self.refused.total() + self.order.repeated} lines left out"
-        state = LiveState(
+        document = live_document(
+            self.monitor,
             test=self.test.name,
             phase=phase,
             feed=self._feed_words(),
             record=record,
-            machine=monitor.machine,
-            point=monitor.point,
-            n_cycles=monitor.detector.n_cycles,
-            period_s=monitor.detector.period_s,
-            estimate=monitor.estimate,
-            trail=tuple(monitor.trail),
-            events=tuple(self._events),
+            events=self._events,
         )
         for screen in self.screens:
-            screen.show(state)
+            screen.show(document)
 
     def say(self, text: str) -> None:
         """Add a sentence to the log, with the time of day."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from comparisons.paper.instabilities import (
 )
 from comparisons.paper.truth import LBM_KG, THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
 from comparisons.results import FitRows, FitScore, FittedLag
-from comparisons.rig import CASES, RigCase, simulate
+from comparisons.rig import CASES, simulate
 from comparisons.rig.drawn import SHAPES, shaped
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
 from surge_core.segments import runs_of
@@ -163,11 +162,7 @@ def claim_36(runs: Instabilities) -> Finding:
 
 def _bent(runs: Instabilities) -> dict[str, InstabilityRun]:
     """Return the 98.5 % test of machines whose in-stall curve is no parabola."""
-    known = runs[MAIN].rig.truth_parameters["case"]
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
-    }
-    case = RigCase(**fields)
+    case = runs[MAIN].machine
     return {
         shape: run_case(shaped(case, *SHAPES[shape]), runs[MAIN].seed, PAPER_WINDOWS_S[MAIN])
         for shape in BENT

@@ -117,6 +117,11 @@ class InstabilityRun:
         return int(self.rig.truth_parameters["seed"])
 
     @property
+    def machine(self) -> RigCase:
+        """The plant that was run."""
+        return RigCase(**self.rig.truth_parameters["case"])
+
+    @property
     def sensors(self) -> SensorSettings:
         """The settings of the sensors that the run was made with."""
         return SensorSettings(**self.rig.truth_parameters["sensor_settings"])

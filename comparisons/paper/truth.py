@@ -34,36 +34,33 @@ THRESHOLD_LBM_S = 50.0
 
 def in_stall_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
     """Return the rig's quasi-steady ψ' in stall, without the loss of reversed flow (Eq 12)."""
-    known, flow = run.rig.truth_parameters, np.asarray(phi, dtype=np.float64)
-    case = known["case"]
-    bend = case["pressure_kink"] * np.maximum(flow - case["kink_phi"], 0.0)
-    bend = bend + case["pressure_cubic"] * flow**3
-    return np.asarray(np.polynomial.polynomial.polyval(flow, known["beta"]) + bend)
+    case, flow = run.machine, np.asarray(phi, dtype=np.float64)
+    bend = case.pressure_kink * np.maximum(flow - case.kink_phi, 0.0)
+    bend = bend + case.pressure_cubic * flow**3
+    return np.asarray(np.polynomial.polynomial.polyval(flow, case.pressure_terms) + bend)
 
 
 def in_stall_psi(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
     """Return the rig's quasi-steady ψ in stall: three straight pieces (Eq 14)."""
-    known = run.rig.truth_parameters
-    first, second = known["psi_breaks"]
-    flow = np.asarray(phi, dtype=np.float64)
+    case, flow = run.machine, np.asarray(phi, dtype=np.float64)
+    first, second = case.work_breaks
     pieces = (
         np.minimum(flow, first),
         np.clip(flow - first, 0.0, second - first),
         np.maximum(flow - second, 0.0),
     )
-    slopes = known["psi_slopes"]
-    steps = [slope * piece for slope, piece in zip(slopes, pieces, strict=True)]
-    return np.asarray(known["psi_intercept"] + np.sum(steps, axis=0))
+    steps = [slope * piece for slope, piece in zip(case.work_slopes, pieces, strict=True)]
+    return np.asarray(case.work_intercept + np.sum(steps, axis=0))
 
 
 def stall_point(run: InstabilityRun, speed_frac: float) -> tuple[float, float]:
     """Return φ and ψ' of the rig's stall point at a corrected speed."""
-    case = run.rig.truth_parameters["case"]
-    low, high = case["stall_speeds"]
+    case = run.machine
+    low, high = case.stall_speeds
     along = (speed_frac - low) / (high - low)
     phi, psi_p = (
         values[0] + along * (values[1] - values[0])
-        for values in (case["stall_phis"], case["stall_psi_ps"])
+        for values in (case.stall_phis, case.stall_psi_ps)
     )
     return float(phi), float(psi_p)
 
@@ -72,14 +69,13 @@ def unstalled_psi_p(run: InstabilityRun, phi: ArrayLike, speed_frac: float) -> F
     """Return the rig's unstalled ψ' at a corrected speed: flat up to the stall point, then down."""
     phi_s, psi_s = stall_point(run, speed_frac)
     beyond = np.maximum(np.asarray(phi, dtype=np.float64) - phi_s, 0.0)
-    return np.asarray(psi_s - run.rig.truth_parameters["case"]["unstalled_droop"] * beyond**2)
+    return np.asarray(psi_s - run.machine.unstalled_droop * beyond**2)
 
 
 def temperature_K(run: InstabilityRun, speed_frac: float) -> float:
     """Return the inlet temperature at which the machine turns at a corrected speed."""
-    case = run.rig.truth_parameters["case"]
-    ratio = case["corrected_speed_frac"] / speed_frac
-    return float(case["supply_temperature_k"]) * float(ratio) ** 2
+    case = run.machine
+    return case.supply_temperature_k * (case.corrected_speed_frac / speed_frac) ** 2
 
 
 def phi_of_flow(run: InstabilityRun, flow_lbm_s: ArrayLike, inlet_K: float) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +24,8 @@ from comparisons.rig.instrument import (
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
 from surge_core.errors import InputError
+from surge_core.record_folder import write_record_folder
+from surge_core.types import FloatArray
 
 __all__ = ["RigRun", "simulate", "write_run"]
 
@@ -235,8 +236,8 @@ def _truth_table(
         "seed": seed,
         "stall_times_s": [float(t) for t in truth.time_s[onsets]],
         "recovery_times_s": [float(t) for t in truth.time_s[recoveries]],
-        "case": _plain(asdict(case)),
-        "sensor_settings": _plain(asdict(settings)),
+        "case": asdict(case),
+        "sensor_settings": asdict(settings),
         "sensors": {name: dict(entry) for name, entry in chain.truth.items()},
     }
 
@@ -248,15 +249,6 @@ def _in_stall_curve(case: RigCase, altered: Alteration) -> dict[str, list[float]
     psi_p += case.pressure_kink * np.maximum(phi - case.kink_phi, 0.0)
     psi_p += altered.characteristic_shape * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
     return {"phi": phi.tolist(), "psi_p": psi_p.tolist()}
-
-
-def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a table without the values that TOML cannot hold: tuples become lists, None goes."""
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in table.items()
-        if value is not None
-    }
 
 
 def write_run(run: RigRun, folder: str | Path) -> None:
@@ -275,60 +267,17 @@ def write_run(run: RigRun, folder: str | Path) -> None:
     Raises
     ------
     InputError
-        When the folder holds something already, is a file, or cannot be written.
+        When the folder holds something already, or is a file.
     """
-    target = Path(folder)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(
-            str(target),
-            expected="a new or empty folder",
-            found="a folder with files" if target.is_dir() else "a file",
-            remedy="choose another folder or remove it first",
-        )
-    try:
-        (target / "truth").mkdir(parents=True)
-        for place, record, name, table in (
-            (target, run.raw, "raw.csv", {"test.toml": run.test}),
-            (target / "truth", run.truth, "truth.csv", {"truth.toml": run.truth_parameters}),
-        ):
-            _write_table(record, place / name)
-            for file, values in table.items():
-                (place / file).write_text(_toml(values), encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            str(target), expected="a folder that can be written", found=error.strerror or str(error)
-        ) from error
+    columns = {"raw.csv": _columns(run.raw), "truth/truth.csv": _columns(run.truth)}
+    tables = {"test.toml": run.test, "truth/truth.toml": run.truth_parameters}
+    write_record_folder(Path(folder), columns, tables)
 
 
-def _write_table(record: Record, path: Path) -> None:
-    """Write a record as CSV: whole counts as integers, kelvin to 1 mK, the rest to 9 digits."""
-    columns, formats = [record.time_s], ["%.3f" if record.sample_rate_hz <= 1e3 else "%.4f"]
-    for channel in record.channels.values():
-        columns.append(channel.values)
-        if np.all(channel.values == np.round(channel.values)):
-            formats.append("%d")
-        else:
-            formats.append("%.3f" if channel.unit == "K" else "%.9g")
-    header = ",".join(["time_s", *record.channels])
-    np.savetxt(
-        path, np.column_stack(columns), fmt=formats, delimiter=",", header=header, comments=""
-    )
-
-
-def _toml(table: Mapping[str, Any]) -> str:
-    return "\n".join(_toml_lines(table)).lstrip("\n") + "\n"
-
-
-def _toml_lines(table: Mapping[str, Any], path: str = "") -> list[str]:
-    """Return the lines of a table and of the tables within it; scalar entries come first."""
-    # Numbers, texts, truth values and lists look in TOML as in JSON.
-    plain = [
-        f"{name} = {json.dumps(value, ensure_ascii=False)}"
-        for name, value in table.items()
-        if not isinstance(value, Mapping)
-    ]
-    lines = ["", f"[{path}]", *plain] if plain and path else plain
-    for name, entry in table.items():
-        if isinstance(entry, Mapping):
-            lines += _toml_lines(entry, f"{path}.{name}" if path else name)
-    return lines
+def _columns(record: Record) -> dict[str, tuple[FloatArray, str]]:
+    """Return the columns of a file with their formats: kelvin to 1 mK, the rest to 9 digits."""
+    channels = record.channels.items()
+    clock = "%.3f" if record.sample_rate_hz <= RAW_RATE_HZ else "%.4f"
+    return {"time_s": (record.time_s, clock)} | {
+        name: (c.values, "%.3f" if c.unit == "K" else "%.9g") for name, c in channels
+    }

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from comparisons.rig_distributed.characteristic import steady_psi_p
-from comparisons.rig_distributed.files import write_tables
 from comparisons.rig_distributed.gas import GAMMA, R
 from comparisons.rig_distributed.instruments import Instruments, draw_instruments
 from comparisons.rig_distributed.machine import Machine, draw
 from comparisons.rig_distributed.plant import PLANT_HZ, PlantRun, lay_out, run_plant
 from comparisons.rig_distributed.rakes import NEAR_STALL_S, Channels, near_stall_reading, read_rakes
 from surge_core.errors import InputError
+from surge_core.record_folder import write_record_folder
 from surge_core.types import FloatArray
 
 __all__ = ["DistributedRun", "draw_record", "draw_run", "simulate", "write_run"]
@@ -259,8 +259,12 @@ def write_run(run: DistributedRun, folder: str | Path) -> None:
     Raises
     ------
     InputError
-        When the folder holds something already, is a file, or cannot be written.
+        When the folder holds something already, or is a file.
     """
-    columns = {"raw.csv": run.raw, "truth/truth.csv": run.truth}
+    time_s = np.arange(next(iter(run.raw.values())).size) / run.rate_hz
+    columns = {
+        place: {"time_s": (time_s, "%.4f")} | {name: (v, "%.9g") for name, v in values.items()}
+        for place, values in (("raw.csv", run.raw), ("truth/truth.csv", run.truth))
+    }
     tables = {"test.toml": run.test, "truth/truth.toml": run.truth_parameters}
-    write_tables(Path(folder), columns, tables, run.rate_hz)
+    write_record_folder(Path(folder), columns, tables)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import rankdata
 
-from comparisons.study.scores import Score, loss_label, score_named
+from comparisons.study.scores import SCORES, Score, loss_label
 from comparisons.study.verdicts import Paired, verdicts_of
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
@@ -214,19 +214,14 @@ def compare_methods(
     Returns
     -------
     tuple of GroupComparison
-        In the order of the axes' values; empty for a table without rows.
+        In the order of the axes' values.
 
     Raises
     ------
     InputError
-        When a column is missing, two rows are the same cell, or the reference is no method.
+        When the reference is no method.
     """
-    chosen = score_named(score)
-    for name in (chosen.name, *by):
-        if name not in table.columns:
-            raise InputError("results", expected=f"the column '{name}'", found="none of that name")
-    if not len(table):
-        return ()
+    chosen = SCORES[score] if isinstance(score, str) else score
     cells = _numbered(table, chosen)
     names = sorted(set(cells["method"]))
     if reference is not None and reference not in names:
@@ -273,7 +268,7 @@ def compare_scores(
     for score in scores:
         whole = compare_methods(table, score, reference, margin=margin)
         split: tuple[GroupComparison, ...] = ()
-        if by and whole:
+        if by:
             split = compare_methods(table, score, whole[0].reference, by, margin)
         found.append((*whole, *split))
     return found
@@ -341,14 +336,6 @@ def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
         _cell=shared,
         _draw=pd.factorize(draw)[0],
     )
-    twice = cells[cells.duplicated(["_cell", "method"])]
-    if len(twice):
-        one = twice.iloc[0]
-        raise InputError(
-            "results",
-            expected="one row for each record, reduction, setting and method",
-            found=f"two of method '{one['method']}' on record '{one['record']}'",
-        )
     return cells.sort_values(["_cell", "method"])
 
 

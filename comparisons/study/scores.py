@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
-from surge_core.errors import InputError
-
-__all__ = ["NUMBERS", "SCORES", "Better", "Score", "loss_label", "score_named"]
+__all__ = ["NUMBERS", "SCORES", "Better", "Score", "loss_label"]
 
 Better = Literal["smaller", "larger", "zero", "target"]
 
@@ -64,26 +62,6 @@ SCORES: Mapping[str, Score] = MappingProxyType(
 )
 # Numbers of a fit in the table: what is better or worse, and what is not.
 NUMBERS = ("tau_ms", "tau_stderr_ms", "firm_names", *SCORES)
-
-
-def score_named(score: Score | str) -> Score:
-    """Return a score by its name, or as it is.
-
-    Parameters
-    ----------
-    score : Score or str
-        A score, or its name in `SCORES`.
-
-    Raises
-    ------
-    InputError
-        For an unknown name.
-    """
-    if isinstance(score, Score):
-        return score
-    if score not in SCORES:
-        raise InputError("score", expected="one of " + ", ".join(SCORES), found=repr(score))
-    return SCORES[score]
 
 
 def loss_label(score: Score) -> str:

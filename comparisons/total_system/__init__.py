@@ -13,16 +13,11 @@ from comparisons.total_system.fit import fit_total_system
 from comparisons.total_system.fitted import TotalSystemFit, TotalSystemSettings, TotalSystemState
 from comparisons.total_system.measured import Measured, measured_signals
 from comparisons.total_system.model import TotalSystemModel
-from comparisons.total_system.sensitivity import (
-    SensitivityRow,
-    sensitivity_rows,
-    sensitivity_table,
-)
+from comparisons.total_system.sensitivity import sensitivity_rows, sensitivity_table
 
 __all__ = [
     "Facility",
     "Measured",
-    "SensitivityRow",
     "TotalSystemFit",
     "TotalSystemModel",
     "TotalSystemSettings",

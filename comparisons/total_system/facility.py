@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
+from surge_core.record_folder import toml_text
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
 
@@ -168,7 +169,4 @@ def facility_toml(facility: Facility) -> str:
     facility : Facility
         The numbers.
     """
-    lines: list[str] = []
-    for table, keys in facility.model_dump().items():
-        lines += [f"[{table}]", *(f"{key} = {float(value)!r}" for key, value in keys.items()), ""]
-    return "\n".join(lines)
+    return toml_text(facility.model_dump())

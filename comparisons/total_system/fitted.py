@@ -15,7 +15,6 @@ from surge_core.display import Displayed, Field, Sheet
 from surge_core.rounding import round_to_error, significant
 from surge_core.terms import terms_json
 from surge_core.types import FloatArray
-from surge_core.validation import one_of, positive
 
 __all__ = ["ALIGNED", "MULTIPLE", "TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
 
@@ -47,11 +46,6 @@ class TotalSystemSettings:
         What multiple shooting fits; the quasi-steady cycles without it.
     max_iterations : int
         Evaluations of the Jacobian in each pass at most.
-
-    Raises
-    ------
-    InputError
-        Naming the setting at fault.
     """
 
     facility: Facility
@@ -62,11 +56,6 @@ class TotalSystemSettings:
     initial_tau_s: float = 0.02
     window_s: tuple[float, float] | None = None
     max_iterations: int = 30
-
-    def __post_init__(self) -> None:
-        one_of("TotalSystemSettings.start", self.start, (MULTIPLE, ALIGNED))
-        positive("TotalSystemSettings.volume_factor", self.volume_factor)
-        positive("TotalSystemSettings.initial_tau_s", self.initial_tau_s)
 
 
 class TotalSystemState(Enum):

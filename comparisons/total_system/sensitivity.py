@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from comparisons.total_system.measured import measured_signals
 from surge_core.display import Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_to_error, significant
 
-__all__ = ["N_ROWS", "SensitivityRow", "sensitivity_rows", "sensitivity_table"]
+__all__ = ["N_ROWS", "sensitivity_rows", "sensitivity_table"]
 
 COMPONENT = "component"
 METHODS = (COMPONENT, MULTIPLE, ALIGNED)
@@ -33,64 +33,6 @@ NO_ERROR = (0.0, 1.0)
 N_ROWS = len(METHODS) * (1 + len(ERRORS))
 
 
-@dataclass(frozen=True)
-class SensitivityRow:
-    """One method under one error of what it takes as known.
-
-    Parameters
-    ----------
-    method : str
-        ``"component"``, or how the total-system method takes the surge start.
-    perturbation : str
-        What was wrong, in words.
-    start_error_s, volume_factor : float
-        The same in numbers.
-    beta, beta_stderr : tuple of float
-        Coefficients of ψ'_QS on 1, φ, φ².
-    tau_s, tau_stderr_s : float
-        Time constant, in seconds.
-    state : str
-        How the fit ended.
-    P31_rms : float
-        Residual of P31 over its swing; nan for the component method, which does not simulate it.
-    tau_change : float
-        Change of τ over the same method's τ without the error.
-    beta_change : tuple of float
-        Change of β against the same method without the error.
-    curve_change : float
-        Largest change of ψ'_QS at φ = 0, 0.05, 0.1 and 0.15.
-    """
-
-    method: str
-    perturbation: str
-    start_error_s: float
-    volume_factor: float
-    beta: tuple[float, ...]
-    beta_stderr: tuple[float, ...]
-    tau_s: float
-    tau_stderr_s: float
-    state: str
-    P31_rms: float = float("nan")
-    tau_change: float = 0.0
-    beta_change: tuple[float, ...] = (0.0, 0.0, 0.0)
-    curve_change: float = 0.0
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the row as plain JSON types."""
-        return asdict(self)
-
-    def against(self, right: SensitivityRow) -> SensitivityRow:
-        """Return the row with its changes against the same method without an error."""
-        change = np.subtract(self.beta, right.beta)
-        curve = np.polynomial.polynomial.polyval(PHI_OF_TABLE, change)
-        return replace(
-            self,
-            tau_change=self.tau_s / right.tau_s - 1.0,
-            beta_change=tuple(change.tolist()),
-            curve_change=float(np.max(np.abs(curve))),
-        )
-
-
 def sensitivity_rows(
     record: Record,
     test: TestDescription,
@@ -98,7 +40,7 @@ def sensitivity_rows(
     *,
     errors: Sequence[tuple[float, float]] = ERRORS,
     progress: Callable[[str], object] = lambda _: None,
-) -> list[SensitivityRow]:
+) -> list[dict[str, Any]]:
     """Return β and τ of both methods, each without an error and under each error.
 
     A start error of e says that the surge began e later on the facility's clock than it did. The
@@ -122,8 +64,13 @@ def sensitivity_rows(
 
     Returns
     -------
-    list of SensitivityRow
-        By method, the one without an error first.
+    list of dict
+        By method, the one without an error first: ``method`` ("component", or how the total-system
+        method takes the surge start); ``perturbation``, what was wrong, in words, and in numbers
+        ``start_error_s`` and ``volume_factor``; ``beta``, ``tau_s`` and their standard errors;
+        ``state`` in which the fit ended; ``P31_rms`` over its swing, NaN for the component method,
+        which does not simulate it; and against the same method without the error ``tau_change`` as
+        a share, ``beta_change``, and ``curve_change``, the largest of ψ'_QS at `PHI_OF_TABLE`.
 
     Raises
     ------
@@ -131,37 +78,42 @@ def sensitivity_rows(
         When the record cannot be used.
     """
     measured = measured_signals(record, test)
-    rows: list[SensitivityRow] = []
+    rows: list[dict[str, Any]] = []
     for method in METHODS:
-        own: list[SensitivityRow] = []
+        right: dict[str, Any] = {}
         for error_s, factor in (NO_ERROR, *errors):
             words = f"start {1e3 * error_s:+g} ms" if error_s else f"volume x {factor:g}"
             words = "none" if (error_s, factor) == NO_ERROR else words
             progress(f"{method}: {words}")
+            row: dict[str, Any] = {
+                "method": method,
+                "perturbation": words,
+                "start_error_s": error_s,
+                "volume_factor": factor,
+            }
             if method == COMPONENT:
-                found = _component(record, test, error_s, factor)
+                row |= _component(record, test, error_s, factor)
             else:
                 chosen = replace(
                     settings, start=method, start_error_s=error_s, volume_factor=factor
                 )
                 fit = fit_total_system(measured, chosen)
-                found = (
-                    fit.beta,
-                    fit.beta_stderr,
-                    fit.tau_s,
-                    fit.tau_stderr_s,
-                    fit.state.code,
-                    fit.relative_rms["P31"],
-                )
-            row = SensitivityRow(method, words, error_s, factor, *found)
-            own.append(row.against(own[0] if own else row))
-        rows += own
+                names = ("beta", "beta_stderr", "tau_s", "tau_stderr_s")
+                row |= {name: getattr(fit, name) for name in names}
+                row |= {"state": fit.state.code, "P31_rms": fit.relative_rms["P31"]}
+            right = right or row
+            change = np.subtract(row["beta"], right["beta"])
+            curve = np.polynomial.polynomial.polyval(PHI_OF_TABLE, change)
+            row["tau_change"] = row["tau_s"] / right["tau_s"] - 1.0
+            row["beta_change"] = tuple(change.tolist())
+            row["curve_change"] = float(np.max(np.abs(curve)))
+            rows.append(row)
     return rows
 
 
 def _component(
     record: Record, test: TestDescription, error_s: float, factor: float
-) -> tuple[tuple[float, ...], tuple[float, ...], float, float, str, float]:
+) -> dict[str, Any]:
     """Reduce and fit the component method again with what it would take as known."""
     volume_m3 = factor * test.compressor.internal_volume_m3
     machine = test.compressor.model_copy(update={"internal_volume_m3": volume_m3})
@@ -170,23 +122,23 @@ def _component(
     rows = stack_rows([reduction.series])
     spec = next(s for s in default_estimators() if s.name == "classic_ml")
     model = spec.fit_rows(rows, [reduction.series])
-    return (
-        tuple(model.coef_.tolist()),
-        tuple(np.sqrt(np.diag(model.covariance_)).tolist()),
-        float(model.time_constant_s_),
-        float(model.time_constant_stderr_s_),
-        model.fit_state_.code,
-        float("nan"),
-    )
+    return {
+        "beta": tuple(model.coef_.tolist()),
+        "beta_stderr": tuple(np.sqrt(np.diag(model.covariance_)).tolist()),
+        "tau_s": float(model.time_constant_s_),
+        "tau_stderr_s": float(model.time_constant_stderr_s_),
+        "state": model.fit_state_.code,
+        "P31_rms": float("nan"),
+    }
 
 
-def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
+def sensitivity_table(rows: Sequence[dict[str, Any]]) -> str:
     """Return the rows as an aligned table for a terminal.
 
     Parameters
     ----------
-    rows : sequence of SensitivityRow
-        Rows of `sensitivity_rows`.
+    rows : sequence of dict
+        As of `sensitivity_rows`.
     """
     heads = ("method", "wrong", "β₁", "β₂", "β₃", "τ [ms]", "Δτ", "Δψ'_QS", "P31", "state")
     legend = (
@@ -199,15 +151,15 @@ def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
     return Sheet(title, (Field("columns", legend),), (grid,)).text()
 
 
-def _cells(row: SensitivityRow) -> tuple[str, ...]:
-    share = f"{100.0 * row.P31_rms:.1f} %" if np.isfinite(row.P31_rms) else NOT_KNOWN
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    share = f"{100.0 * row['P31_rms']:.1f} %" if np.isfinite(row["P31_rms"]) else NOT_KNOWN
     return (
-        row.method,
-        row.perturbation,
-        *(round_to_error(b, e) for b, e in zip(row.beta, row.beta_stderr, strict=True)),
-        round_to_error(1e3 * row.tau_s, 1e3 * row.tau_stderr_s),
-        f"{100.0 * row.tau_change:+.1f} %",
-        significant(row.curve_change, 2) if row.curve_change else "0",
+        row["method"],
+        row["perturbation"],
+        *map(round_to_error, row["beta"], row["beta_stderr"]),
+        round_to_error(1e3 * row["tau_s"], 1e3 * row["tau_stderr_s"]),
+        f"{100.0 * row['tau_change']:+.1f} %",
+        significant(row["curve_change"], 2) if row["curve_change"] else "0",
         share,
-        row.state,
+        row["state"],
     )

@@ -130,16 +130,17 @@ def test_a_wrong_volume_lands_in_beta_and_a_wrong_start_in_a_single_run() -> Non
     _, record, test = ideal("985")
     chosen = near_truth("985", window_s=(1.3, 1.95), max_iterations=8)
     rows = sensitivity_rows(record, test, chosen, errors=((0.01, 1.0), (0.0, 1.1)))
-    found = {(row.method, row.perturbation): row for row in rows}
+    found = {(row["method"], row["perturbation"]): row for row in rows}
     for wrong in ("start +10 ms", "volume x 1.1"):
-        assert found["component", wrong].curve_change < 0.01
-        assert abs(found["component", wrong].tau_change) < 0.005
+        assert found["component", wrong]["curve_change"] < 0.01
+        assert abs(found["component", wrong]["tau_change"]) < 0.005
     multiple = found["multiple-shooting", "volume x 1.1"]
-    assert multiple.curve_change > 0.05
+    assert multiple["curve_change"] > 0.05
     # Measured 7 to 8 % in β₁ (both cases, ideal sensors).
-    assert 0.04 < multiple.beta_change[0] / found["multiple-shooting", "none"].beta[0] < 0.12
-    assert abs(found["multiple-shooting", "start +10 ms"].tau_change) < 0.01
-    assert found["aligned", "start +10 ms"].curve_change > 0.05
+    right = found["multiple-shooting", "none"]
+    assert 0.04 < multiple["beta_change"][0] / right["beta"][0] < 0.12
+    assert abs(found["multiple-shooting", "start +10 ms"]["tau_change"]) < 0.01
+    assert found["aligned", "start +10 ms"]["curve_change"] > 0.05
     assert "start +10 ms" in sensitivity_table(rows)
 
 
@@ -158,9 +159,6 @@ def test_a_record_that_cannot_be_used_is_refused() -> None:
         measured_signals(replace(run.truth, start_s=5.0), test)
     with pytest.raises(InputError, match="segments"):
         fit_total_system(signals("985"), settings("985", window_s=(1.4, 1.42)))
-    for wrong in ({"start": "guessed"}, {"volume_factor": 0.0}):
-        with pytest.raises(InputError, match=next(iter(wrong))):
-            settings("985", **wrong)
 
 
 def test_the_command_fits_a_record_of_the_rig_and_writes_what_it_found(

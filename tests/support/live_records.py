@@ -7,11 +7,11 @@ import queue
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from classic_ml.io import TestDescription, read_raw, read_test_description
 from classic_ml.io.series import write_series
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons.live.display import LiveState
 from comparisons.live.feeds import Arrival, Closed, Feed, Opened
 from comparisons.live.monitor import Monitor
 from comparisons.live.pieces import Piece, Pieces, reduce_longest
@@ -87,8 +87,8 @@ class Played:
     def say(self, event: str) -> None:
         self.said += event + "\n"
 
-    def show(self, state: LiveState) -> None:
-        self.feed_words.add(state.feed)
+    def show(self, document: dict[str, Any]) -> None:
+        self.feed_words.add(document["fields"][0]["value"])
 
     def reduce(self) -> tuple[Piece, Reduction]:
         piece, reduction = reduce_longest(

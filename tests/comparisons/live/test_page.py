@@ -5,27 +5,30 @@ from __future__ import annotations
 import http.client
 import json
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
-import numpy as np
 import pytest
 
-from comparisons.live.display import LiveState
+from comparisons.live.display import live_document
 from comparisons.live.estimate import Estimate
-from comparisons.live.operating_point import OperatingPoints
 from comparisons.live.page import Page
 from surge_core.errors import InputError
 
 NAN = float("nan")
-STATE = LiveState(
+MONITOR: Any = SimpleNamespace(
+    point={"time_s": 1.006, "Wc25_kg_s": 10.0, "pressure_ratio": 2.1, "phi": NAN},
+    machine="surge",
+    detector=SimpleNamespace(n_cycles=4, period_s=0.14),
+    estimate=Estimate(tau_s=0.0183, tau_stderr_s=0.0012, curve=((0.1, 1.5, 0.02),)),
+    trail=((1.0, 0.1, 1.5), (1.005, 0.1, NAN)),
+)
+STATE = live_document(
+    MONITOR,
     test="test <b>7</b>",
     phase="running",
     feed="receiving",
-    point=OperatingPoints(*np.array([[1.006], [10.0], [2e5], [2.1], [NAN], [1.5], [0.98]])),
-    machine="surge",
-    n_cycles=4,
-    period_s=0.14,
-    estimate=Estimate(tau_s=0.0183, tau_stderr_s=0.0012, curve=((0.1, 1.5, 0.02),)),
-    trail=((1.0, 0.1, 1.5), (1.005, 0.1, NAN)),
+    record="7 rows",
     events=("12:00:01 surge: <script>",),
 )
 

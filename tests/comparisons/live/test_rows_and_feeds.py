@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.live.feeds import Closed, Feed, Opened, listening, parse_address, piped
+from comparisons.live.feeds import Closed, Feed, Opened, listening, piped
 from comparisons.live.rows import Lines, RowOrder
 from surge_core.errors import InputError
 
@@ -91,7 +91,8 @@ def test_a_socket_takes_one_sender_after_another(kind: str, tmp_path: Path) -> N
     place = feed.waiting.removeprefix("waiting for a sender at ")
     for _ in range(2):
         if kind == "tcp":
-            sender = socket.create_connection(parse_address(place))
+            host, port = place.split(":")
+            sender = socket.create_connection((host, int(port)))
         else:
             sender = socket.socket(socket.AF_UNIX)
             sender.connect(place)
@@ -120,6 +121,3 @@ def test_an_address_that_is_taken_is_refused() -> None:
     server = socket.create_server(("127.0.0.1", 0))
     with server, pytest.raises(InputError, match="--listen"):
         listening(server.getsockname()[:2])
-    assert parse_address("[::1]:80") == ("::1", 80)
-    with pytest.raises(ValueError, match="1:70000"):
-        parse_address("1:70000")
