@@ -12,6 +12,7 @@ from classic_ml.records import counted
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
+from surge_core.threads import one_thread
 
 if TYPE_CHECKING:
     from classic_ml.inspect import Inspection
@@ -73,6 +74,7 @@ class Analysis(Displayed):
         return self.answer._sheet()
 
 
+@one_thread()
 def analyse(
     raw: str | os.PathLike[str],
     test: str | os.PathLike[str],
@@ -105,17 +107,6 @@ def analyse(
         When the record cannot be reduced or compared. A later step that refuses is listed in the
         answer instead.
     """
-    import scipy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
-    from threadpoolctl import threadpool_limits
-
-    # The matrices are small: threads of BLAS that wait for one another make it 25 times slower.
-    with threadpool_limits(1):
-        return _analysed(os.fspath(raw), os.fspath(test), twins, begin, progress)
-
-
-def _analysed(
-    raw: str, toml: str, twins: bool, begin: Callable[[str], object], progress: Progress
-) -> Analysis:
     from classic_ml.inspect import inspect_file
     from classic_ml.io import read_raw, read_test_description
     from classic_ml.reduction import reduce_record
@@ -130,10 +121,10 @@ def _analysed(
 
     names = iter(STEPS)
     begin(next(names))
-    inspection = inspect_file(raw, read_test_description(toml).file)
+    inspection = inspect_file(raw, read_test_description(test).file)
     begin(next(names))
-    record, test = read_raw(raw, toml)
-    reduction = reduce_record(record, test)
+    record, described = read_raw(raw, test)
+    reduction = reduce_record(record, described)
     series = [reduction.series]
     begin(next(names))
     comparison = compare_records(
@@ -154,7 +145,7 @@ def _analysed(
         "diagnose",
         lambda: diagnose(series, n_twins=DIAGNOSIS_TWINS if twins else 0, progress=progress),
     )
-    work = tried("work", lambda: fit_work(record, test, progress=progress))
+    work = tried("work", lambda: fit_work(record, described, progress=progress))
     readings = []
     if structure is not None and not structure.refused:
         fit = structure.fit
@@ -177,7 +168,7 @@ def _analysed(
         missing += " The τ named here is that of the diagnosis's own fit, not the one to quote."
     answer = answer_of(
         comparison,
-        test=test.name,
+        test=described.name,
         readings=readings,
         verdict=diagnosis.verdict if diagnosis else "",
         missing=missing,

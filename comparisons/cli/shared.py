@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, to_strict_json, write_whole
 from surge_core.progress import shown_over
+from surge_core.threads import one_thread
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -171,13 +172,8 @@ class Command:
         InputError
             When an input or an option cannot be used; nothing is written then.
         """
-        import scipy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
-        from threadpoolctl import threadpool_limits
-
         self.check_files(given)
-        # The matrices are small: on a busy machine threads of BLAS that wait for one another made
-        # `compare` thirty times slower (83 s in place of 2.9 s on two cores under load).
-        with threadpool_limits(1):
+        with one_thread():
             for line in self.run(given):
                 print(line)
 

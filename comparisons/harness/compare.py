@@ -42,6 +42,7 @@ from surge_core.fit_state import WITHHOLDING
 from surge_core.lag import Hold
 from surge_core.paired import block_errors, block_rms, compared
 from surge_core.segments import runs_of
+from surge_core.threads import one_thread
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]
@@ -50,6 +51,7 @@ CURVE_POINTS = 121
 Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
 
 
+@one_thread()
 def compare_records(
     records: Sequence[CoefficientSeries],
     *,

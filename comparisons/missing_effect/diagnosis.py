@@ -31,6 +31,7 @@ from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
 from surge_core.errors import InputError
+from surge_core.threads import one_thread
 
 __all__ = [
     "Diagnosis",
@@ -66,6 +67,7 @@ def polynomial_terms(degree: int) -> tuple[str, ...]:
     return ("1", "phi", *(f"phi^{k}" for k in range(2, degree + 1)))
 
 
+@one_thread()
 def diagnose(
     records: Sequence[CoefficientSeries],
     degree: int = 2,

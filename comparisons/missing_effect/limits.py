@@ -18,6 +18,7 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.limit_table import CHECKED_AT, Limit, Limits, size_words
 from comparisons.missing_effect.planting import Planter
 from surge_core.errors import InputError
+from surge_core.threads import one_thread
 
 __all__ = ["Limit", "Limits", "planted_limits"]
 
@@ -44,6 +45,7 @@ LARGEST_LINEAR = 1e6
 Progress = Callable[[Iterable["Limit"]], Iterable["Limit"]]
 
 
+@one_thread()
 def planted_limits(
     diagnosis: LagDiagnosis,
     *,

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
-from threadpoolctl import threadpool_limits
 
 from comparisons.study.design import Cell, Point, cells_of, tasks_of
 from comparisons.study.methods import check_methods, scores_of
@@ -22,6 +21,7 @@ from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 from comparisons.study.spec import StudySpec
 from surge_core.errors import InputError
 from surge_core.files import replace_whole, write_whole
+from surge_core.threads import one_thread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,7 +181,7 @@ def run_task(cells: Sequence[Cell]) -> list[Row]:
     """
     record = cache(make_record)
     series = cache(lambda point: prepare(record(_only(point, "record")), point))
-    with threadpool_limits(limits=1):
+    with one_thread():
         return [_row(cell, record, series) for cell in cells]
 
 

@@ -31,6 +31,7 @@ from comparisons.missing_effect.systems.search import Round, search_round, still
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
+from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
 __all__ = ["MOST_EFFECTS", "diagnose_model"]
@@ -49,6 +50,7 @@ AT_BOUND = 1e-4
 Progress = Callable[[str], None]
 
 
+@one_thread()
 def diagnose_model(
     model: Model,
     fit: Experiment | Sequence[Experiment],
