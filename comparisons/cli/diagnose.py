@@ -150,11 +150,15 @@ def _asked_beyond(
     """Return what --limits and --separate found; None for what was not asked for."""
     limits = separation = None
     if given.limits:
+        from joblib import cpu_count
+
         from comparisons.missing_effect.limits import planted_limits
 
         begin("planting effects")
         n = len(d.catalogue)
-        limits = planted_limits(d, progress=lambda r: shown_over(r, unit="effect", total=n))
+        limits = planted_limits(
+            d, jobs=cpu_count(), progress=lambda r: shown_over(r, unit="effect", total=n)
+        )
     if given.separate:
         from comparisons.missing_effect.separate import separating_measurements
 

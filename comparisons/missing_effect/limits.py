@@ -80,7 +80,7 @@ def planted_limits(
         Whether 1.5 times each limit is planted in fresh trials; where too few of these name the
         effect the limit is sought above that.
     jobs : int
-        Processes; more than one only where they do not stand in each other's way.
+        Processes; the limits are the same for any number of them.
     progress : callable
         Wraps the iteration over the limits as they are found.
 
@@ -142,15 +142,9 @@ _Test = Callable[[Effect, float, int, int], bool]
 
 
 def _done(tasks: Sequence[_Task], jobs: int) -> Iterator[Limit]:
-    if jobs == 1:
-        yield from map(_limit, tasks)
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    from joblib import Parallel, delayed
 
-    # A process that has threads must not be forked, and compiled code may have some.
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_limit, tasks)
+    yield from Parallel(jobs, return_as="generator")(delayed(_limit)(task) for task in tasks)
 
 
 def _limit(task: _Task) -> Limit:
