@@ -124,10 +124,6 @@ def _heating(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
     return np.asarray(curve * (1.0 - p["loss_frac"] * -np.expm1(-clock / p["heating_time_s"])))
 
 
-def _droop(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
-    return np.asarray(curve * _speed_ratio(p, at) ** p["exponent"])
-
-
 def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
     speed = at.plant.speeds[at.record].values(at.time_s)
     return np.asarray(speed / p["reference_frac"])
@@ -135,14 +131,6 @@ def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
 
 def _hysteresis(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
     return np.asarray(curve - p["step"] * _stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
-
-
-def _lagged_reverse(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
-    return curve + _reverse(p, at) if p["lagged"] else curve
-
-
-def _unlagged_reverse(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    return psi if p["lagged"] else psi + _reverse(p, at)
 
 
 def _reverse(p: Parameters, at: Points) -> FloatArray:
@@ -180,26 +168,10 @@ def _flow_lag(p: Parameters, at: Points) -> FloatArray:
     return np.broadcast_to(1.0 + p["slope"] * below, at.phi.shape)
 
 
-def _speed_lag(p: Parameters, at: Points) -> FloatArray:
-    return np.asarray(_speed_ratio(p, at) ** p["exponent"])
-
-
-def _inertia(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    return np.asarray(psi - p["length_s"] * at.phi_rate)
-
-
 def _thermocouple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
     channel = at.plant.temperatures[at.record]
     shown = channel.values(at.time_s)
     return np.asarray(psi * shown / (shown + p["lag_s"] * channel.rates(at.time_s)))
-
-
-def _sensitivity(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    return np.asarray(psi * (1.0 + p["rate_per_s"] * at.time_s))
-
-
-def _bias(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    return np.asarray(psi + p["rate_per_s"] * at.time_s)
 
 
 def _ripple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
@@ -209,10 +181,6 @@ def _ripple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
     phases = rng.uniform(-pi, pi, int(episode[-1]) + 1)
     wave = np.sin(2.0 * pi * p["frequency_hz"] * at.time_s + phases[episode])
     return np.asarray(psi + p["amplitude"] * stalled * wave)
-
-
-def _quadratic_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArray:
-    return np.asarray(psi + p["curvature"] * (psi - p["centre"]) ** 2)
 
 
 def _saturating_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArray:
@@ -234,7 +202,7 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p: 0.5,
         lambda p: 60.0,
         lambda p, rng: {"reference_frac": p.mean_speed},
-        curve=_droop,
+        curve=lambda p, at, curve: curve * _speed_ratio(p, at) ** p["exponent"],
     ),
     "hysteresis": Form(
         "step",
@@ -249,8 +217,8 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p: 0.02 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
         lambda p: 10.0 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
         lambda p, rng: {"lagged": float(rng.random() < 0.5)},
-        curve=_lagged_reverse,
-        output=_unlagged_reverse,
+        curve=lambda p, at, curve: curve + _reverse(p, at) if p["lagged"] else curve,
+        output=lambda p, at, psi: psi if p["lagged"] else psi + _reverse(p, at),
         levels=lambda p: (0.0,),
     ),
     "characteristic_shape": Form(
@@ -283,7 +251,11 @@ _CATALOGUE: Mapping[str, Form] = {
         levels=lambda p: (p["phi_threshold"],),
     ),
     "flow_inertia": Form(
-        "length_s", lambda p: 0.01 * p.psi_std, lambda p: 0.5, signed=True, output=_inertia
+        "length_s",
+        lambda p: 0.01 * p.psi_std,
+        lambda p: 0.5,
+        signed=True,
+        output=lambda p, at, psi: psi - p["length_s"] * at.phi_rate,
     ),
     "thermocouple_lag": Form(
         "lag_s", lambda p: 0.2, _longest_thermocouple_lag_s, output=_thermocouple
@@ -293,14 +265,14 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p: 0.01 / p.duration_s,
         lambda p: 1.0 / p.duration_s,
         signed=True,
-        output=_sensitivity,
+        output=lambda p, at, psi: psi * (1.0 + p["rate_per_s"] * at.time_s),
     ),
     "bias_drift": Form(
         "rate_per_s",
         lambda p: 0.02 * p.psi_std / p.duration_s,
         lambda p: 5.0 * p.psi_std / p.duration_s,
         signed=True,
-        output=_bias,
+        output=lambda p, at, psi: psi + p["rate_per_s"] * at.time_s,
     ),
     "rotating_stall_ripple": Form(
         "amplitude",
@@ -324,7 +296,7 @@ _OTHERS: Mapping[str, Form] = {
         lambda p: 60.0,
         lambda p, rng: {"reference_frac": p.mean_speed},
         signed=True,
-        lag=_speed_lag,
+        lag=lambda p, at: _speed_ratio(p, at) ** p["exponent"],
     ),
     "amplitude_memory": Form(
         "slope",
@@ -341,7 +313,7 @@ _OTHERS: Mapping[str, Form] = {
         lambda p: 2.0 / p.psi_std,
         lambda p, rng: {"centre": float(np.mean(p.quasi_steady(p.all_phi)))},
         signed=True,
-        output=_quadratic_sensor,
+        output=lambda p, at, psi: psi + p["curvature"] * (psi - p["centre"]) ** 2,
     ),
     "sensor_saturation": Form(
         "share",

@@ -160,9 +160,7 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
     case, settings, rng = bench.case, bench.settings, bench.rng
     slope, offset = _PROBES[plane, immersion]
     offset *= settings.probe_offset
-    flow, total = _local_flow(
-        case, bench.run, settings, bench.altered, plane=plane, rake=rake, immersion=immersion
-    )
+    flow, total = _local_flow(bench, plane, rake, immersion)
     area_m2 = case.inlet_area_m2 if plane == 25 else case.exit_area_m2
     pressures = probe_pressures_pa(
         flow, total, area_m2=area_m2, slope=slope, offset=offset, ramp=settings.probe_ramp
@@ -210,37 +208,17 @@ def corrected_plane_flow_kg_s(run: PlantRun, plane: int) -> FloatArray:
 
 
 def _local_flow(
-    case: RigCase,
-    run: PlantRun,
-    settings: SensorSettings,
-    altered: Alteration,
-    *,
-    plane: int,
-    rake: str,
-    immersion: str,
+    bench: _Bench, plane: int, rake: str, immersion: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return corrected flow in kg/s and total pressure in Pa at one probe pair.
 
     Equation: W_c + J A w (sin θ + h₂ sin 2θ) ± q ΔW_c, θ = 2π f t + angle of the rake; the total
     pressure moves in proportion. Over the plane hub and tip shift cancel; the cells do not, because
-    two rakes do not resolve them.
-
-    Parameters
-    ----------
-    case, run, settings : RigCase, PlantRun, SensorSettings
-        The plant, what it did, and the factors on cells and shift.
-    altered : Alteration
-        What is hidden; a second cell pattern, slower than the first, shows here.
-    plane : int
-        25 or 31.
-    rake, immersion : str
-        ``"A"`` or ``"B"``; ``"tip"`` or ``"hub"``.
-
-    Returns
-    -------
-    tuple of ndarray of shape (n,)
-        At `PLANT_RATE_HZ`; the flow that the whole plane would pass if all were like this spot.
+    two rakes do not resolve them. At `PLANT_RATE_HZ`; the flow is what the whole plane would pass
+    if all were like this spot. A second cell pattern that is hidden, slower than the first, shows
+    here.
     """
+    case, run, settings, altered = bench.case, bench.run, bench.settings, bench.altered
     share = 1.0 if plane == 25 else case.exit_cell_frac
     mean = corrected_plane_flow_kg_s(run, plane)
     time_s = np.arange(mean.size) / PLANT_RATE_HZ

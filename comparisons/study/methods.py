@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.methods import check_method, method_spec, naming_of
+from comparisons.harness.methods import method_spec, naming_of
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 
@@ -16,26 +16,6 @@ __all__ = ["check_methods", "scores_of"]
 
 CURVE_POINTS = 50
 NAN = float("nan")
-
-
-def check_methods(methods: Sequence[Method]) -> None:
-    """Refuse, before anything is computed, a class that cannot be had or made.
-
-    Parameters
-    ----------
-    methods : sequence of Method
-        Estimators of a study.
-
-    Raises
-    ------
-    InputError
-        Naming the method.
-    """
-    for method in methods:
-        if method.import_path:
-            asked = (method.import_path, method.name, method.parameters)
-            if naming_of(*asked) is None:
-                check_method(*asked)
 
 
 def scores_of(
@@ -101,11 +81,9 @@ def scores_of(
         if stated and np.isfinite(low) and np.isfinite(high):
             out["tau_covered"] = float(low <= made.tau_s <= high)
     # Where this method scored φ, as far as the truth is known there.
-    low, high = model.valid_phi
-    if made.curve:
-        low, high = max(low, made.curve[0][0]), min(high, made.curve[0][-1])
-    phi = np.linspace(low, high, CURVE_POINTS)
-    truth = made.true_curve(phi)
-    if low < high and truth is not None and result.has_curve and result.states_curve:
-        out["curve_rms_error"] = float(np.sqrt(np.mean((model.quasi_steady(phi) - truth) ** 2)))
+    low, high = np.clip(model.valid_phi, *made.known_phi)
+    if low < high and made.curve is not None and result.has_curve and result.states_curve:
+        phi = np.linspace(low, high, CURVE_POINTS)
+        error = model.quasi_steady(phi) - made.curve(phi)
+        out["curve_rms_error"] = float(np.sqrt(np.mean(error**2)))
     return out

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
+from comparisons.harness.methods import check_method, naming_of
 from comparisons.study.design import Cell, Point, cells_of, tasks_of
-from comparisons.study.methods import check_methods, scores_of
+from comparisons.study.methods import scores_of
 from comparisons.study.scores import NUMBERS
 from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 from comparisons.study.spec import StudySpec
@@ -70,15 +71,10 @@ def run_study(
     Raises
     ------
     InputError
-        When a class cannot be had, the folder cannot be used or no scheduler answers.
+        When a class cannot be had, the folder holds a study or no scheduler answers.
     """
     check_study(spec, folder, resume=resume)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            str(folder), expected="a folder that can be written to", found=error.strerror or "none"
-        ) from error
+    folder.mkdir(parents=True, exist_ok=True)
     file = folder / FINISHED
     cells = cells_of(spec)
     rows = {row["key"]: row for row in _finished(file)}
@@ -114,7 +110,10 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
     InputError
         When the folder holds a study, or a class cannot be had.
     """
-    check_methods(spec.method)
+    for method in spec.method:
+        asked = (method.import_path, method.name, method.parameters)
+        if method.import_path and naming_of(*asked) is None:
+            check_method(*asked)
     if not resume and (folder / FINISHED).exists():
         raise InputError(
             str(folder),

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from classic_ml.io.series import read_series
 from classic_ml.series import CoefficientSeries
@@ -44,10 +47,10 @@ class Made:
         Where it is counts.
     tau_s : float
         True time constant in s; NaN where it is not known.
-    beta : tuple of float
-        True characteristic in powers of φ; empty where it is not known so.
-    curve : tuple of two tuples of float
-        True characteristic as φ and ψ'; empty where it is not known so.
+    curve : callable, optional
+        True characteristic, ψ' at φ of shape (n,), where it is known.
+    known_phi : tuple of float
+        Where it is known.
     effects : frozenset of str
         Effects beyond lag and parabola that the machine truly has: no false name.
     """
@@ -55,18 +58,9 @@ class Made:
     series: tuple[CoefficientSeries, ...]
     raw: tuple[Record, TestDescription] | None
     tau_s: float
-    beta: tuple[float, ...]
-    curve: tuple[tuple[float, ...], ...] = ()
+    curve: Callable[[FloatArray], Any] | None = None
+    known_phi: tuple[float, float] = (-math.inf, math.inf)
     effects: frozenset[str] = frozenset()
-
-    def true_curve(self, phi: FloatArray) -> FloatArray | None:
-        """Return the true characteristic at φ, of shape (n,); None where it is not known."""
-        if self.curve:
-            known, value = self.curve
-            return np.asarray(np.interp(phi, known, value), dtype=np.float64)
-        if not self.beta:
-            return None
-        return np.asarray(np.polynomial.polynomial.polyval(phi, self.beta), dtype=np.float64)
 
 
 def make_record(point: Point) -> Made:
@@ -142,7 +136,7 @@ def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
         )
         for i, r in enumerate(test.records, start=1)
     )
-    return Made(series, None, test.tau_s, test.beta)
+    return Made(series, None, test.tau_s, partial(polyval, c=test.beta))
 
 
 def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
@@ -162,7 +156,7 @@ def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
         kept = Path(folder) / "run"
         write_run(run, kept)
         raw = read_raw(kept / "raw.csv", kept / "test.toml")
-    return Made((), raw, case.tau_s, tuple(case.pressure_terms))
+    return Made((), raw, case.tau_s, partial(polyval, c=case.pressure_terms))
 
 
 def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
@@ -176,23 +170,27 @@ def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
         truth = read_toml(kept / "truth" / "truth.toml", "the truth of a record")
         shutil.rmtree(kept / "truth")
         raw = read_raw(kept / "raw.csv", kept / "test.toml")
-    table = truth.get("quasi_steady", {})
-    curve = (tuple(table["phi"]), tuple(table["psi_p"])) if table else ()
-    # What is hidden may bend the curve.
-    beta = () if "hidden" in truth else tuple(truth.get("beta", ()))
+    table, beta = truth.get("quasi_steady"), truth.get("beta", ())
+    curve: Callable[[FloatArray], Any] | None = None
+    known_phi = (-math.inf, math.inf)
+    if table:
+        curve = partial(np.interp, xp=table["phi"], fp=table["psi_p"])
+        known_phi = (table["phi"][0], table["phi"][-1])
+    elif beta and "hidden" not in truth:
+        # What is hidden may bend the curve.
+        curve = partial(polyval, c=beta)
     # What is no parabola has a shape, and a loss in reversed flow is an effect of its own.
-    bent = ("characteristic_shape",) if curve or len(truth.get("beta", ())) > 3 else ()
+    bent = ("characteristic_shape",) if table or len(beta) > 3 else ()
     lossy = ("reverse_flow_branch",) if truth.get("reverse_loss") else ()
     hidden = (truth["hidden"]["effect"],) if "hidden" in truth else ()
     effects = frozenset((*truth.get("effects", ()), *hidden, *bent, *lossy))
-    return Made((), raw, float(truth["tau_s"]), beta, curve, effects)
+    return Made((), raw, float(truth["tau_s"]), curve, known_phi, effects)
 
 
 def _files(_: int, given: Mapping[str, Scalar]) -> Made:
     from classic_ml.io import read_raw
 
     path = Path(str(given["path"]))
-    nan = float("nan")
     if path.is_dir():
-        return Made((), read_raw(path / "raw.csv", path / "test.toml"), nan, ())
-    return Made((read_series(path),), None, nan, ())
+        return Made((), read_raw(path / "raw.csv", path / "test.toml"), math.nan)
+    return Made((read_series(path),), None, math.nan)
