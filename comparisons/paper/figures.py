@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_figures"]
 
-Drawn: TypeAlias = "tuple[Figure, str]"
-
 PHI = r"flow coefficient $\varphi$ [-]"
 TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
 HEIGHT_IN = 5.4
@@ -85,40 +83,13 @@ def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
         In the order of the paper, the validation last; each names the figure that it stands beside.
     """
     high, low = runs["985"], runs["90"]
-    drawn = (
-        (
-            "Spectra of the inlet pressure before and after the filters, 90 % speed",
-            "In the paper: Figures 4 and 5.",
-            _spectra(low),
-        ),
-        (
-            "Operating point migration in the quasi-steady cycles, 98.5 % speed",
-            "In the paper: Figure 11.",
-            _migration(high),
-        ),
-        (
-            "In-stall pressure characteristic, 98.5 % speed",
-            "In the paper: Figure 23.",
-            _pressure_characteristic(high, runs[STEADY_STALL]),
-        ),
-        (
-            "Pressure and work characteristics, 90 % speed",
-            "In the paper: Figure 25.",
-            _low_speed_characteristics(low),
-        ),
-        (
-            "Reconstructed pressure coefficient, 90 % speed",
-            "In the paper: Figure 27.",
-            _reconstruction(low),
-        ),
-        (
-            "Validation on the second instability, 98.5 % speed",
-            "The paper validates at 90 % on the record that was fitted.",
-            _validation(high, runs["985-second"]),
-        ),
-    )
-    return tuple(
-        Picture(title, figure, caption, place) for title, place, (figure, caption) in drawn
+    return (
+        _spectra(low),
+        _migration(high),
+        _pressure_characteristic(high, runs[STEADY_STALL]),
+        _low_speed_characteristics(low),
+        _reconstruction(low),
+        _validation(high, runs["985-second"]),
     )
 
 
@@ -130,7 +101,7 @@ def _panel(x: str, y: str) -> tuple[Figure, Axes]:
     return figure, ax
 
 
-def _spectra(run: InstabilityRun) -> Drawn:
+def _spectra(run: InstabilityRun) -> Picture:
     """Draw Fig 4 and 5: stall cells in the inlet pressure, and what the filters leave of them."""
     settings, rate_hz = run.paper.settings, run.rig.raw.sample_rate_hz
     plain = calibrate(run.rig.raw, run.paper.test)[PROBE] / PSI_PA
@@ -160,10 +131,11 @@ def _spectra(run: InstabilityRun) -> Drawn:
         f"harmonic; the filters take {loss[3]:.1f} dB (order 3) and {loss[5]:.1f} dB (order 5) "
         f"from it, and leave what lies well below {settings.cutoff_hz:g} Hz."
     )
-    return figure, caption
+    title = "Spectra of the inlet pressure before and after the filters, 90 % speed"
+    return Picture(title, figure, caption, "In the paper: Figures 4 and 5.")
 
 
-def _migration(run: InstabilityRun) -> Drawn:
+def _migration(run: InstabilityRun) -> Picture:
     """Draw Fig 11: the operating point in the quasi-steady cycles, over the rig's own curves."""
     record, rows = run.paper.record, run.window
     flow, ratio = record["Wc25_kg_s"] / LBM_KG, record["pressure_ratio"]
@@ -202,7 +174,8 @@ def _migration(run: InstabilityRun) -> Drawn:
         f"({point[1]:.1f} at {point[0]:.0f} lbm/s); the lag keeps the loops off the quasi-steady "
         "curves."
     )
-    return figure, caption
+    title = "Operating point migration in the quasi-steady cycles, 98.5 % speed"
+    return Picture(title, figure, caption, "In the paper: Figure 11.")
 
 
 def _curve(
@@ -222,7 +195,7 @@ def _curve(
     ax.fill_between(grid, value - band, value + band, color=colour, alpha=0.18, lw=0.0)
 
 
-def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Drawn:
+def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Picture:
     """Draw Fig 23: the identified ψ'_QS beside the truth and beside steady rotating stall."""
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
@@ -247,10 +220,11 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Dra
         f"{1e3 * model.time_constant_s:.0f} ms for the rig's {1e3 * run.true_tau_s:.0f}. Steady "
         f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}."
     )
-    return figure, caption
+    title = "In-stall pressure characteristic, 98.5 % speed"
+    return Picture(title, figure, caption, "In the paper: Figure 23.")
 
 
-def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
+def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     """Draw Fig 25: ψ'_QS and ψ_QS at 90 % beside the truth."""
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
@@ -273,7 +247,8 @@ def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
         f"rig's own by at most {off[0]:.2f} and ψ by {off[1]:.2f}: ψ is taken from the temperature "
         "rise alone, which leaves out what is stored between the planes."
     )
-    return figure, caption
+    title = "Pressure and work characteristics, 90 % speed"
+    return Picture(title, figure, caption, "In the paper: Figure 25.")
 
 
 def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None) -> Reconstruction:
@@ -300,7 +275,7 @@ def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
     )
 
 
-def _reconstruction(run: InstabilityRun) -> Drawn:
+def _reconstruction(run: InstabilityRun) -> Picture:
     """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
     good, bad = (_held(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
     figure, ax = _panel(TIME, ACTUAL)
@@ -312,10 +287,11 @@ def _reconstruction(run: InstabilityRun) -> Drawn:
         f"({good.score.fit_percent:.0f} % fit) with 18 ms and {bad.score.rms:.2f} with the 243 ms "
         "that the paper found at 98.5 %."
     )
-    return figure, caption
+    title = "Reconstructed pressure coefficient, 90 % speed"
+    return Picture(title, figure, caption, "In the paper: Figure 27.")
 
 
-def _validation(run: InstabilityRun, other: InstabilityRun) -> Drawn:
+def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
     """Draw the curve of one 98.5 % instability run over the measured flow of the other."""
     own, new = (_held(run, TRIAL_TIME_CONSTANT_S, over) for over in (run, other))
     figure, ax = _panel(TIME, ACTUAL)
@@ -327,4 +303,7 @@ def _validation(run: InstabilityRun, other: InstabilityRun) -> Drawn:
         f"error {new.score.rms:.2f}; on its own record {own.score.fit_percent:.0f} % and "
         f"{own.score.rms:.2f}. In-stall intervals only, each from its own first ψ'."
     )
-    return figure, caption
+    title = "Validation on the second instability, 98.5 % speed"
+    return Picture(
+        title, figure, caption, "The paper validates at 90 % on the record that was fitted."
+    )

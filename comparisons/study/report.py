@@ -58,11 +58,11 @@ def render_study_report(
 
 
 def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
-    return [Part("Methods", (*map(_method_table, groups), Words(READING, "quiet")))]
-
-
-def _method_table(group: GroupComparison) -> Table:
-    return Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
+    tables = (
+        Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
+        for group in groups
+    )
+    return [Part("Methods", (*tables, Words(READING, "quiet")))]
 
 
 def _failures(table: pd.DataFrame) -> Table:

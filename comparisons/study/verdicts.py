@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.stats import t as student_t
 
@@ -55,8 +55,8 @@ def verdicts_of(against: Mapping[str, Paired], margin: float, tests: int = 0) ->
         pair = known[name]
         rejecting = rejecting and _two_sided(pair) * left <= LEVEL
         left -= 1
-        room = Paired(pair.n_pairs, pair.n_records, margin - abs(pair.difference), pair.stderr)
-        if room.difference > 0.0 and 0.5 * _two_sided(room) <= LEVEL:
+        room = margin - abs(pair.difference)
+        if room > 0.0 and 0.5 * _two_sided(replace(pair, difference=room)) <= LEVEL:
             found[name] = "equivalent"
         elif rejecting:
             found[name] = "worse" if pair.difference > 0.0 else "better"
