@@ -323,8 +323,7 @@ def _with_coefficients(
         period_s = None
         if settings.phase == "none":
             period_s = 1.0 / cell_frequency_hz(unfiltered, window)
-        inertia = test.compressor.inertia_per_m
-        record = with_work(record, test, inertia, settings.work_form, period_s)
+        record = with_work(record, test, settings.work_form, period_s)
     else:
         dropped = Dropped("ψ", record.n_samples, "no T31 that counts, so no W31")
         record = record.after(LedgerEntry("work coefficient", "ψ is not known", {}, (dropped,)))
