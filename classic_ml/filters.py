@@ -94,7 +94,6 @@ def filter_channels(
     order: int,
     cutoff_hz: float,
     phase: str,
-    ahead: tuple[Record, Record] | None = None,
 ) -> Record:
     """Filter channels of a record, all with the same filter.
 
@@ -110,9 +109,6 @@ def filter_channels(
         Channels to filter.
     order, cutoff_hz, phase
         See :func:`low_pass`.
-    ahead : tuple of two Record, optional
-        A record before and just after the same filter: channels that it shares with this one are
-        taken from it.
 
     Returns
     -------
@@ -125,15 +121,11 @@ def filter_channels(
     rate, added = record.sample_rate_hz, []
     held: dict[str, str | int | float | bool] = {}
     for name in names:
-        channel, key = record.channel(name), f"held_{name}"
-        if ahead is not None and ahead[0].channels.get(name) is channel:
-            added.append(ahead[1].channel(name))
-            held |= {k: v for k, v in ahead[1].history[-1].parameters.items() if k == key}
-            continue
+        channel = record.channel(name)
         smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
         least = np.min(channel.values, initial=np.inf)
         if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
-            held[key] = int(np.count_nonzero(smooth < least))
+            held[f"held_{name}"] = int(np.count_nonzero(smooth < least))
             smooth = np.maximum(smooth, least)
         added.append(Channel.adopt(name, smooth, channel.unit))
     word = "forth and back, without delay"

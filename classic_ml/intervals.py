@@ -6,7 +6,7 @@ import numpy as np
 
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["bridged", "equal_runs", "intervals_where", "label_intervals", "labelled"]
+__all__ = ["bridged", "equal_runs", "intervals_where", "label_intervals"]
 
 
 def intervals_where(state: BoolArray) -> IntArray:
@@ -35,14 +35,6 @@ def equal_runs(values: FloatArray, least_rows: int) -> IntArray:
     return np.asarray(runs[runs[:, 1] - runs[:, 0] >= least_rows])
 
 
-def labelled(intervals: IntArray, n_rows: int) -> IntArray:
-    """Return the number of the interval that each row is in, from 1 on, 0 outside of all."""
-    labels = np.zeros(n_rows, dtype=np.int64)
-    for number, (start, stop) in enumerate(intervals.tolist(), 1):
-        labels[start:stop] = number
-    return labels
-
-
 def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[int]]:
     """Give numbers to the intervals of True.
 
@@ -63,7 +55,10 @@ def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[i
     intervals = intervals_where(state)
     lengths = intervals[:, 1] - intervals[:, 0]
     kept = intervals[lengths >= least_rows]
-    return labelled(kept, state.size), lengths[lengths < least_rows].tolist()
+    labels = np.zeros(state.size, dtype=np.int64)
+    for number, (start, stop) in enumerate(kept.tolist(), 1):
+        labels[start:stop] = number
+    return labels, lengths[lengths < least_rows].tolist()
 
 
 def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
@@ -84,10 +79,6 @@ def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     """
     if known.all() or not known.any():
         return values
-    gaps = intervals_where(~known)
-    beside = np.concatenate([gaps[:, 0] - 1, gaps[:, 1]])
-    beside = np.unique(beside[(beside >= 0) & (beside < values.size)])
-    unknown = np.flatnonzero(~known)
     out = np.array(values)
-    out[unknown] = np.interp(unknown, beside, values[beside])
+    out[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
     return out

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,6 @@ __all__ = [
     "Piece",
     "Terms",
     "drift_of_runs",
-    "lag_data",
     "nearly_orthogonal",
 ]
 
@@ -140,17 +138,11 @@ class Piece:
     ----------
     rows : slice
         The rows.
-    run : slice
-        The segment that they are a part of.
-    number : int
-        Number of that segment.
     errors : slice
         Place of their errors, those ahead of the piece included.
     """
 
     rows: slice
-    run: slice
-    number: int
     errors: slice
 
 
@@ -236,14 +228,14 @@ class LagData:
         """
         found: list[Piece] = []
         at = 0
-        for number, run in enumerate(self.runs):
+        for run in self.runs:
             if self.is_output_error:
                 stretches = [run] if np.any(self.weight[run] > 0.0) else []
             else:
                 stretches = [slice(s.start + 1, s.stop) for s in scored_pieces(self.weight, run)]
             for rows in stretches:
                 stop = at + self.ahead + rows.stop - rows.start
-                found.append(Piece(rows, run, number, slice(at, stop)))
+                found.append(Piece(rows, slice(at, stop)))
                 at = stop
         return tuple(found)
 
@@ -313,46 +305,3 @@ class LagData:
             weight=self.weight[:end],
             runs=tuple(runs),
         )
-
-
-def lag_data(
-    settings: Any,
-    y: FloatArray,
-    terms: FloatArray,
-    weight: FloatArray,
-    runs: list[slice],
-) -> LagData:
-    """Set up the fit.
-
-    Parameters
-    ----------
-    settings : LagRegressor
-        Its parameters make the model; they are checked.
-    y : ndarray of shape (n,)
-        ψ' as measured.
-    terms : ndarray of shape (n, r)
-        The terms of the characteristic.
-    weight : ndarray of shape (n,)
-        Weight of each row.
-    runs : list of slice
-        The segments.
-
-    Raises
-    ------
-    InputError
-        When the drift's knots are too close.
-    """
-    period, held = float(settings.sample_period_s), settings.time_constant_s
-    return LagData(
-        y,
-        terms,
-        weight,
-        tuple(runs),
-        period,
-        settings.hold,
-        settings.noise,
-        settings.noise_order if settings.noise == "armax" else 0,
-        bool(settings.exact_start),
-        None if held is None else float(np.log(held)),
-        None if settings.drift is None else float(settings.knot_spacing_s),
-    )

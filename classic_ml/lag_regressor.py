@@ -14,7 +14,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 
 from classic_ml.characteristics import feature_names, polynomial_names, term_names
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
-from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal
+from classic_ml.lag_data import LagData, Terms, nearly_orthogonal
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
@@ -163,7 +163,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = self._runs(segments, y.size)
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
-        data = lag_data(self, y, combined.columns, weight, runs)
+        data = self._data(y, combined, weight, runs)
         if data.scored.size <= data.n_parameters(terms.shape[1]):
             self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
             return self
@@ -316,7 +316,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = self._runs(segments, y.size)
         terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
-        data = lag_data(self, y, terms.columns, weight, runs)
+        data = self._data(y, terms, weight, runs)
         free = MovingAverage.from_coefficients(self.moving_average_).free
         shape = np.concatenate([[np.log(self.time_constant_s_)], free])
         return linearised(replace(data, exact_start=False), terms, shape, beta)
@@ -392,6 +392,22 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     def _runs(self, segments: ArrayLike | None, n_rows: int) -> list[slice]:
         runs = runs_of(segments, n_rows)
         return [slice(0, n_rows)] if self.link_segments else runs
+
+    def _data(self, y: FloatArray, terms: Terms, weight: FloatArray, runs: list[slice]) -> LagData:
+        """Set up the fit, by the parameters that were checked."""
+        return LagData(
+            y,
+            terms.columns,
+            weight,
+            tuple(runs),
+            float(self.sample_period_s),
+            self.hold,
+            self.noise,
+            self.noise_order if self.noise == "armax" else 0,
+            bool(self.exact_start),
+            None if self.time_constant_s is None else float(np.log(self.time_constant_s)),
+            None if self.drift is None else float(self.knot_spacing_s),
+        )
 
     def _store(self, fit: LagFit, data: LagData, terms: Terms) -> None:
         tau_s = float(np.exp(fit.shape[0]))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from classic_ml.lag_data import LagData, Terms
 from classic_ml.likelihood import jacobian, profile
+from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LinearisedFit", "linearised"]
@@ -64,22 +64,15 @@ def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray)
     tau = both[:, :1] / np.exp(shape[0]) if fitted else np.zeros((both.shape[0], 1))
     keep = data.scored
     rows = data.rows_of_errors[keep]
-    segment = _numbers(list(data.runs))[rows]
+    lengths = [run.stop - run.start for run in data.runs]
+    segment = np.repeat(np.arange(len(lengths)), lengths)[rows]
+    # Rows that follow each other within a segment have one such label.
+    pieces = runs_of(rows - np.arange(rows.size) + 2 * segment * data.y.size, rows.size)
     return LinearisedFit(
         at.errors[keep],
         np.column_stack([tau, both[:, n_shape:], both[:, fitted:n_shape]])[keep],
         terms.back,
         rows,
-        _stretches(rows, segment),
+        tuple(pieces),
         segment,
     )
-
-
-def _numbers(runs: list[slice]) -> IntArray:
-    return np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
-
-
-def _stretches(rows: IntArray, labels: IntArray) -> tuple[slice, ...]:
-    cuts = np.flatnonzero((np.diff(rows) != 1) | (np.diff(labels) != 0)) + 1
-    edges = [0, *cuts.tolist(), rows.size]
-    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges) if b > a)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import reduce
 
 import numpy as np
 
@@ -17,7 +18,6 @@ __all__ = ["local_flows", "plane_averages"]
 
 # One reading in a hundred that is no pressure is noise at a probe; more is a wrong reference.
 IMPOSSIBLE_SHARE = 0.01
-# Rows of which the equations are evaluated at once: their intermediate results stay in the cache.
 BLOCK_ROWS = 1 << 13
 
 
@@ -26,7 +26,6 @@ def local_flows(
     test: TestDescription,
     *,
     planes: Collection[int] = (25, 31),
-    ahead: Record | None = None,
     probe_ramp: float = 0.0,
 ) -> Record:
     """Compute corrected flow and total pressure at every probe pair (Eq 1 to 3).
@@ -39,8 +38,6 @@ def local_flows(
         Places and probe constants.
     planes : collection of int
         Planes whose flow is wanted; of the others only the total pressures are returned.
-    ahead : Record, optional
-        One whose flows are known: those of the same readings are taken from it.
     probe_ramp : float
         Below this calculated Mach number b of Eq 2 falls to nothing in proportion; 0: it jumps.
 
@@ -59,28 +56,24 @@ def local_flows(
     flags: tuple[str, ...] = ()
     for plane in test.areas_m2:
         for pair in _present_pairs(record, test, plane):
-            names = pair.forward.name, pair.aft.name
-            flow_name, total_name = f"Wc{pair.name}_kg_s", f"Pt{pair.name}_Pa"
-            if (
-                ahead is not None
-                and flow_name in ahead
-                and all(record[name] is ahead[name] for name in names)
-            ):
-                flow, total = ahead[flow_name], ahead[total_name]
-            else:
-                (forward_Pa, n_forward), (aft_Pa, n_aft) = (_positive(record, n) for n in names)
-                if n_forward or n_aft:
-                    flags += (
-                        f"pair {pair.name}: {n_forward + n_aft} readings that are no absolute "
-                        "pressure, bridged",
-                    )
-                total = np.maximum(forward_Pa, aft_Pa)
-                flow = np.empty(0)
-                if plane in planes:
-                    flow = _flow_of(forward_Pa, aft_Pa, pair, test, probe_ramp)
-            added.append(Channel.adopt(total_name, total, "Pa"))
+            (forward_Pa, n_forward), (aft_Pa, n_aft) = (
+                _positive(record, probe.name) for probe in (pair.forward, pair.aft)
+            )
+            if n_forward or n_aft:
+                flags += (
+                    f"pair {pair.name}: {n_forward + n_aft} readings that are no absolute "
+                    "pressure, bridged",
+                )
+            total = np.maximum(forward_Pa, aft_Pa)
+            added.append(Channel.adopt(f"Pt{pair.name}_Pa", total, "Pa"))
             if plane in planes:
-                added.append(Channel.adopt(flow_name, flow, "kg/s"))
+                law = pair.forward.probe_slope, pair.forward.probe_offset, test.areas_m2[plane]
+                # In blocks, whose intermediate results stay in the cache.
+                cuts = np.arange(BLOCK_ROWS, total.size, BLOCK_ROWS)
+                blocks = zip(np.split(forward_Pa, cuts), np.split(aft_Pa, cuts), strict=True)
+                parts = [pair_flow(*both, *law, test.compressor, probe_ramp) for both in blocks]
+                flow = np.concatenate(parts)
+                added.append(Channel.adopt(f"Wc{pair.name}_kg_s", flow, "kg/s"))
                 share = np.count_nonzero(flow < 0.0) / max(flow.size, 1)
                 reversed_share[f"reversed_{pair.name}"] = round(share, 4)
     entry = LedgerEntry(
@@ -179,28 +172,5 @@ def _positive(record: Record, name: str) -> tuple[FloatArray, int]:
     return bridged(values, good), n_bad
 
 
-def _flow_of(
-    forward_Pa: FloatArray,
-    aft_Pa: FloatArray,
-    pair: ProbePair,
-    test: TestDescription,
-    ramp: float,
-) -> FloatArray:
-    probe, machine = pair.forward, test.compressor
-    area_m2 = test.areas_m2[probe.plane]
-    law = probe.probe_slope, probe.probe_offset, area_m2, machine, ramp
-    flow = np.empty(forward_Pa.size)
-    for first in range(0, flow.size, BLOCK_ROWS):
-        rows = slice(first, first + BLOCK_ROWS)
-        flow[rows] = pair_flow(forward_Pa[rows], aft_Pa[rows], *law)
-    return flow
-
-
 def _mean(values: Sequence[FloatArray]) -> FloatArray:
-    if len(values) == 1:
-        return values[0]
-    added = values[0] + values[1]
-    for further in values[2:]:
-        added += further
-    added /= len(values)
-    return added
+    return np.asarray(reduce(np.add, values) / len(values))

@@ -96,10 +96,6 @@ class Channel:
         if values.flags.writeable:
             values = values.copy()
             values.setflags(write=False)
-        if values.ndim != 1:
-            raise InputError(
-                f"channel {self.name}", expected="one value a sample", found=f"shape {values.shape}"
-            )
         object.__setattr__(self, "values", values)
 
     @classmethod

@@ -103,13 +103,11 @@ class Reduction(Displayed):
 
 @dataclass(frozen=True)
 class _Window:
-    """The window of the surge cycles, and what was computed to find it."""
+    """The window of the surge cycles, and where it came from."""
 
     times_s: tuple[float, float]
     rows: slice
     entry: LedgerEntry
-    # Bridged; filtered; and filtered with the flows of its probe pairs.
-    ahead: tuple[Record, Record, Record] | None = None
 
 
 def reduce_record(
@@ -153,9 +151,7 @@ def reduce_record(
     window = _window(record, test, chosen)
     record = choose_channels(record.after(window.entry), test, window.rows)
     done(1)
-    averaged = _averaged(record, test, chosen, window.ahead)
-    # What was computed ahead takes as much room as the record.
-    window = replace(window, ahead=None)
+    averaged = _averaged(record, test, chosen)
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     done(1)
@@ -229,7 +225,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     # dropout must not end it.
     bridged = with_faults_bridged(record, test.channel_names)
     filtered = _low_passed(bridged, test, AHEAD)
-    flows = local_flows(filtered, test, probe_ramp=settings.probe_ramp)
+    flows = local_flows(filtered, test, planes=(25,), probe_ramp=settings.probe_ramp)
     averages = plane_averages(flows, test)
     speed = Channel("Nc_frac", corrected_speed_fraction(averages["T25_K"], test), "1")
     cycles = find_cycles(averages.after(LedgerEntry("speed", "of the window"), add=[speed]))
@@ -256,15 +252,10 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
         flags=flags,
     )
     times_s = cycles.from_s, cycles.to_s
-    return _Window(times_s, window_rows(record, times_s), entry, (bridged, filtered, flows))
+    return _Window(times_s, window_rows(record, times_s), entry)
 
 
-def _low_passed(
-    record: Record,
-    test: TestDescription,
-    settings: ReductionSettings,
-    ahead: tuple[Record, Record] | None = None,
-) -> Record:
+def _low_passed(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
     """Filter all channels alike."""
     return filter_channels(
         record,
@@ -272,28 +263,14 @@ def _low_passed(
         order=settings.filter_order,
         cutoff_hz=settings.cutoff_hz,
         phase=settings.phase,
-        ahead=ahead,
     )
 
 
-def _averaged(
-    record: Record,
-    test: TestDescription,
-    settings: ReductionSettings,
-    ahead: tuple[Record, Record, Record] | None,
-) -> Record:
-    """Filter, and average over each plane; what is the same in the window's search is reused."""
-    alike = (settings.filter_order, settings.cutoff_hz, settings.phase) == (
-        AHEAD.filter_order,
-        AHEAD.cutoff_hz,
-        AHEAD.phase,
-    )
-    known = ahead if alike else None
-    filtered = _low_passed(record, test, settings, known[:2] if known else None)
+def _averaged(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
+    """Filter, and average over each plane."""
+    filtered = _low_passed(record, test, settings)
     inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
-    known_flows = known[2] if known else None
-    flows = local_flows(inverted, test, ahead=known_flows, probe_ramp=settings.probe_ramp)
-    return plane_averages(flows, test)
+    return plane_averages(local_flows(inverted, test, probe_ramp=settings.probe_ramp), test)
 
 
 def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
@@ -346,8 +323,7 @@ def _with_coefficients(
         period_s = None
         if settings.phase == "none":
             period_s = 1.0 / cell_frequency_hz(unfiltered, window)
-        inertia = test.compressor.inertia_per_m
-        record = with_work(record, test, inertia, settings.work_form, period_s)
+        record = with_work(record, test, settings.work_form, period_s)
     else:
         dropped = Dropped("ψ", record.n_samples, "no T31 that counts, so no W31")
         record = record.after(LedgerEntry("work coefficient", "ψ is not known", {}, (dropped,)))

@@ -14,16 +14,11 @@ import numpy as np
 
 from classic_ml.coefficients import rate_of_change
 from classic_ml.filters import low_pass
-from classic_ml.flow import (
-    corrected_flow,
-    mach_from_corrected_flow,
-    pair_flow,
-    physical_flow,
-)
+from classic_ml.flow import mach_from_corrected_flow, pair_flow, physical_flow
 from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
 from classic_ml.whole_record.chain import Chain, PairChain
 from classic_ml.whole_record.passes import Passes
-from classic_ml.whole_record.rakes import LARGEST_SHARE, Planes, RakeSignals
+from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["Twin", "twin_of"]
@@ -150,7 +145,7 @@ def _pressures(
     """Return what the two probes of a pair read of a flow: Eq 3, 2 and 1 backwards."""
     machine, area_m2 = chain.compressor, chain.areas_m2[pair.plane]
     gamma = machine.gamma
-    limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
+    limit = chain.largest_flow_kg_s(pair.plane)
     mach = mach_from_corrected_flow(np.clip(flow_kg_s, -limit, limit), area_m2, machine)
     calculated = np.maximum((np.abs(mach) - pair.offset) / pair.slope, 0.0)
     ratio = (1.0 + 0.5 * (gamma - 1.0) * calculated**2) ** (gamma / (gamma - 1.0))

@@ -181,7 +181,7 @@ def fit_whole_record(
     fit = fit_branches(passes, spec, in_stall)
     n_cycles = int(passes.cycle[-1]) + 1
     if not interval:
-        nothing = scatter_of((), fit, degree)
+        nothing = scatter_of((), fit, degree, 1.0)
         return WholeRecordFit(
             fit, passes, spec, in_stall, levels, nothing, nothing, nothing, n_cycles, False
         )
@@ -200,7 +200,7 @@ def fit_whole_record(
         levels,
         jackknife(passes, spec, in_stall, fit),
         variants(passes, spec, in_stall, fit),
-        scatter_of(twins, fit, degree),
+        scatter_of(twins, fit, degree, math.sqrt(n_twins / max(n_twins - 1, 1))),
         n_cycles,
         True,
         law_of_probes(signals, window, spec, levels, fit),

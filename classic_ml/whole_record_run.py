@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.characteristics import polynomial_names
-from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, profile
 from classic_ml.whole_record.interval import RAMP_MACH
@@ -32,7 +31,7 @@ from classic_ml.whole_run import (
     check_rates,
     fit_whole_runs,
     has_whole_run,
-    identity,
+    output_error,
 )
 from classic_ml.whole_run_rows import WholeRunRows, moving_columns, stacked_rows
 from surge_core.display import Field, Sheet
@@ -312,13 +311,7 @@ def _result(
     rows = _rows(records, fits, degree)
     X, y, weight, labels = stacked_rows(rows)
     kept = moving_columns(X, degree + 1)
-    model = LagRegressor(
-        records[0].sample_period_s,
-        noise="output-error",
-        hold="first",
-        basis=identity(),
-        time_constant_s=tau_s,
-    )
+    model = output_error(records[0].sample_period_s, "first", tau_s)
     model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
     reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
     low_s, high_s = tau_s / reach, tau_s * reach

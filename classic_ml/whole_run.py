@@ -51,7 +51,7 @@ __all__ = [
     "check_rates",
     "fit_whole_runs",
     "has_whole_run",
-    "identity",
+    "output_error",
     "specification_spread",
     "whole_run_rows",
 ]
@@ -236,13 +236,7 @@ def fit_whole_runs(
     X, y, weight, labels = stacked_rows(rows)
     kept = moving_columns(X, degree + 1)
     X = X[:, kept]
-    model = LagRegressor(
-        records[0].sample_period_s,
-        noise="output-error",
-        hold=hold,
-        basis=identity(),
-        time_constant_s=time_constant_s,
-    )
+    model = output_error(records[0].sample_period_s, hold, time_constant_s)
     if not np.any(weight > 0.0):
         return _refusal(model, rows, degree)
     model.fit(X, y, segments=labels, sample_weight=weight)
@@ -301,7 +295,7 @@ def specification_spread(
         if np.count_nonzero(weight) <= X.shape[1]:
             continue
         kept = moving_columns(X, order + 1)
-        model = LagRegressor(period_s, noise="output-error", hold=hold, basis=identity())
+        model = output_error(period_s, hold)
         model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
         logs.append(math.log(max(model.time_constant_s_, 1e-6)))
         if order == degree:
@@ -405,8 +399,16 @@ def check_rates(records: Sequence[CoefficientSeries]) -> None:
         )
 
 
-def identity() -> object:
-    """Return the basis of terms that are formed already."""
+def output_error(
+    sample_period_s: float, hold: Hold, time_constant_s: float | None = None
+) -> LagRegressor:
+    """Return the lag by output error over terms that are formed already."""
     from sklearn.preprocessing import FunctionTransformer
 
-    return FunctionTransformer()
+    return LagRegressor(
+        sample_period_s,
+        noise="output-error",
+        hold=hold,
+        basis=FunctionTransformer(),
+        time_constant_s=time_constant_s,
+    )

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.description import Compressor, TestDescription
-from classic_ml.flow import T_STANDARD_K
+from classic_ml.flow import T_STANDARD_K, choked_flow
 from classic_ml.records import LedgerEntry
 from surge_core.types import FloatArray
 
 __all__ = ["STEP", "Chain", "PairChain"]
 
 STEP = "rakes"
+# Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
+LARGEST_SHARE = 0.98
 _MACHINE = "compressor."
 _Parameters = Mapping[str, str | int | float | bool]
 
@@ -100,6 +102,10 @@ class Chain:
     def of_plane(self, plane: int) -> tuple[PairChain, ...]:
         """Return the pairs of a plane."""
         return tuple(pair for pair in self.pairs if pair.plane == plane)
+
+    def largest_flow_kg_s(self, plane: int) -> float:
+        """Return the corrected flow beyond which a pair of a plane is overloaded."""
+        return LARGEST_SHARE * choked_flow(self.areas_m2[plane], self.compressor)
 
     def corrected_speed(self, inlet_K: FloatArray) -> FloatArray:
         """Return N_c = N/√θ as a fraction of the design corrected speed."""

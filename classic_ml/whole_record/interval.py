@@ -82,7 +82,7 @@ def jackknife(passes: Passes, spec: Specification, in_stall: BoolArray, fit: Bra
         for b in range(n)
         if n > 1
     ]
-    return _scatter(fits, fit, spec.degree, math.sqrt(max(n - 1, 0)))
+    return scatter_of(fits, fit, spec.degree, math.sqrt(max(n - 1, 0)))
 
 
 def specifications(spec: Specification) -> tuple[Specification, ...]:
@@ -109,8 +109,8 @@ def variants(passes: Passes, spec: Specification, in_stall: BoolArray, fit: Bran
         for other, state in zip(others, states, strict=True)
     ]
     alike = [one for one, other in zip(fits, others, strict=True) if other.degree == spec.degree]
-    tau = _scatter([fit, *fits], fit, 0, 1.0)
-    return replace(tau, curve=_scatter([fit, *alike], fit, spec.degree, 1.0).curve)
+    tau = scatter_of([fit, *fits], fit, 0, 1.0)
+    return replace(tau, curve=scatter_of([fit, *alike], fit, spec.degree, 1.0).curve)
 
 
 def law_of_probes(
@@ -156,8 +156,11 @@ def delay_of_exit(
     return (step * rows * passes.sample_period_s, log_tau) if abs(step) > 1 else (0.0, 0.0)
 
 
-def _scatter(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:
-    """Return the spread of fits about their mean, times a factor."""
+def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:
+    """Return the spread of fits about their mean, times a factor.
+
+    Of records that were measured again the factor is that of a sample, √(n/(n-1)).
+    """
     if len(fits) < 2:
         return Scatter(math.nan, 0.0, np.full((degree + 1, degree + 1), math.nan), len(fits))
     logs = np.log([each.tau_s for each in fits])
@@ -169,8 +172,3 @@ def _scatter(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: fl
         widened**2 * (apart.T @ apart) / len(fits),
         len(fits),
     )
-
-
-def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
-    """Return the standard deviation over records that were measured again."""
-    return _scatter(fits, fit, degree, math.sqrt(len(fits) / max(len(fits) - 1, 1)))

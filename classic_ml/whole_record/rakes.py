@@ -16,10 +16,8 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["LARGEST_SHARE", "Planes", "RakeSignals", "rake_signals", "rake_signals_of"]
+__all__ = ["Planes", "RakeSignals", "rake_signals", "rake_signals_of"]
 
-# Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
-LARGEST_SHARE = 0.98
 # The fourth difference passes white noise with the square of its coefficients and hardly any of
 # what is slower than a tenth of the sample rate.
 DIFFERENCE, GAIN = 4, 70.0
@@ -125,11 +123,8 @@ class RakeSignals:
     def overloaded(self) -> BoolArray:
         """Return the rows in which a pair reads what no probe can: choked flow, no pressure."""
         over = ~self.counts
-        choked = LARGEST_SHARE * float(
-            corrected_flow(np.ones(1), self.chain.areas_m2[25], self.chain.compressor)[0]
-        )
         for flow in self.flow_kg_s.values():
-            over = over | (np.abs(flow) > choked)
+            over = over | (np.abs(flow) > self.chain.largest_flow_kg_s(25))
         for pressure in self.total_Pa.values():
             over = over | ~(pressure > 0.0)
         return np.asarray(over)
@@ -138,7 +133,7 @@ class RakeSignals:
         """Return φ (Eq 7), ψ' (Eq 5) and N_c of plane averages; NaN where they have none."""
         machine, speed = self.chain.compressor, self.chain.rotor_velocity_m_s
         area_m2 = self.chain.areas_m2[25]
-        limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
+        limit = self.chain.largest_flow_kg_s(25)
         flow = np.clip(planes.corrected_kg_s, -limit, limit)
         phi = flow_coefficient(flow, self.inlet_K, area_m2, speed, machine)
         with np.errstate(invalid="ignore"):
@@ -161,11 +156,9 @@ class RakeSignals:
         Eq 2 reads |M| = a M_calc + b for any flow; here b falls to nothing in proportion to M_calc
         below a calculated Mach number.
         """
-        machine = self.chain.compressor
-        flows = {}
+        machine, area_m2 = self.chain.compressor, self.chain.areas_m2[25]
+        limit, flows = self.chain.largest_flow_kg_s(25), {}
         for pair in self.chain.of_plane(25):
-            area_m2 = self.chain.areas_m2[25]
-            limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
             flow = self.flow_kg_s[pair.name]
             mach = mach_from_corrected_flow(np.clip(flow, -limit, limit), area_m2, machine)
             calculated = np.maximum(np.abs(mach) - pair.offset, 0.0) / pair.slope

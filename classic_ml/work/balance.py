@@ -129,19 +129,14 @@ def credit_of_storage(phi: FloatArray, mixing_phi: float = MIXING_PHI) -> FloatA
     return np.asarray(np.where(forward, power / (power + mixing_phi**4), 0.0))
 
 
-def _as_it_is(values: FloatArray) -> FloatArray:
-    return values
-
-
 def delivered_power(
     record: Record,
     test: TestDescription,
     flow_kg_s: FloatArray,
     phi: FloatArray,
     *,
-    inertia_per_m: float,
     mixing_phi: float = MIXING_PHI,
-    smooth: Callable[[FloatArray], FloatArray] = _as_it_is,
+    smooth: Callable[[FloatArray], FloatArray] = np.asarray,
     stores: bool = True,
 ) -> FloatArray:
     """Return W25 ψ, which stays finite through zero flow (Eq 13 with W31 from the mass balance).
@@ -156,8 +151,6 @@ def delivered_power(
         W25, or what both planes say of it.
     phi : ndarray of shape (n,)
         Flow coefficient of that flow, best without the cells' ripple.
-    inertia_per_m : float
-        I = ∫dx/A of Eq 5.
     mixing_phi : float
         φ₀ of :func:`credit_of_storage`.
     smooth : callable
@@ -187,7 +180,7 @@ def delivered_power(
         return np.asarray(scale * flow_kg_s * (exit_K - inlet_K))
     exit_Pa_s = np.gradient(record["P31_Pa"], period_s)
     inlet_Pa_s = np.gradient(record["P25_Pa"], period_s)
-    surge_Pa_s = inertia_per_m * np.gradient(np.gradient(flow_kg_s, period_s), period_s)
+    surge_Pa_s = machine.inertia_per_m * np.gradient(np.gradient(flow_kg_s, period_s), period_s)
     mean_Pa_s = inlet_Pa_s + EXIT_WEIGHT * (exit_Pa_s + smooth(surge_Pa_s) - inlet_Pa_s)
     volume = machine.internal_volume_m3 / machine.gas_constant_J_kg_K
     credit = credit_of_storage(phi, mixing_phi)

@@ -18,6 +18,7 @@ from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import choked_flow, corrected_from_physical
+from classic_ml.free_run import near
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import cell_frequency_hz, hub_tip_stall
@@ -320,8 +321,9 @@ def _setup(
         setup = replace(setup, cycle=np.cumsum(rising).astype(np.int64))
     # One period to each side of a switch: what the average mixes, and the stall state is late by.
     margin = round(setup.period_s * record.sample_rate_hz)
-    scored = stalled & ~_near_a_switch(stalled, margin) & (_phi(setup, _flow(setup)) > SCORED_PHI)
-    scored &= ~impossible
+    switches = np.append(stalled[1:] != stalled[:-1], False)
+    scored = stalled & ~near(switches, margin - 1, margin) & ~impossible
+    scored &= _phi(setup, _flow(setup)) > SCORED_PHI
     # The average must not reach beyond the simulated rows either.
     scored[: rows.start + margin] = False
     scored[rows.stop - margin :] = False
@@ -348,13 +350,6 @@ def _corrected(mean: FloatArray, inlet: FloatArray, other: FloatArray) -> FloatA
     """Return log τ of the mean flow, and β extrapolated to no error of the flow."""
     beta = 2.0 * mean - 0.5 * (inlet + other)
     return np.concatenate([mean[:1], beta[1:]])
-
-
-def _near_a_switch(state: BoolArray, margin: int) -> BoolArray:
-    near = np.zeros_like(state)
-    for row in np.flatnonzero(np.diff(state.astype(np.int64))):
-        near[max(0, row - margin + 1) : row + margin + 1] = True
-    return near
 
 
 def _phi(setup: _Setup, flow: FloatArray) -> FloatArray:
@@ -386,7 +381,6 @@ def _fit(setup: _Setup, flow: FloatArray, time_constant_s: float | None) -> _Fit
         setup.test,
         flow,
         phi,
-        inertia_per_m=setup.test.compressor.inertia_per_m,
         mixing_phi=setup.mixing_phi,
         smooth=setup.flat,
         stores=setup.stores,

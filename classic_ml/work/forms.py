@@ -33,7 +33,6 @@ _FORM_WORDS = {
 def with_work(
     record: Record,
     test: TestDescription,
-    inertia_per_m: float,
     form: str,
     cell_period_s: float | None,
 ) -> Record:
@@ -45,8 +44,6 @@ def with_work(
         Plane averages, with ``phi`` and ``dW25_dt_kg_s2``.
     test : TestDescription
         Machine and speed.
-    inertia_per_m : float
-        I = ∫dx/A of Eq 5.
     form : {"auto", "exit-flow", "mass-balance", "temperature-rise"}
         One of ``WORK_FORMS``.
     cell_period_s : float or None
@@ -70,7 +67,7 @@ def with_work(
                 "work coefficient", "ψ is not known", parameters, (Dropped("ψ", gaps, why),)
             )
         )
-    by_flow = _energy_form(record, test, inertia_per_m)
+    by_flow = _energy_form(record, test)
     rise = _temperature_rise(record, test)
     # Half of what lies between the 16th and 84th percentile is a standard deviation that single
     # rows near zero flow do not decide.
@@ -88,7 +85,7 @@ def with_work(
     flag = f"the measured W31 and W25 disagree by an equivalent of {mismatch:.0%} in ψ"
     flags = (f"{flag}: it is taken by {words}",) if too_far else ()
     if form == "mass-balance":
-        by_flow = _mass_balance(record, test, inertia_per_m, cell_period_s)
+        by_flow = _mass_balance(record, test, cell_period_s)
     psi = bridged(rise if form == "temperature-rise" else by_flow, known)
     why = f"φ < {PSI_MINIMUM_PHI}, where ψ is a power over no flow: give them weight 0"
     entry = LedgerEntry(
@@ -113,9 +110,7 @@ def _lag_undone(record: Record) -> bool:
     return bool(said) and said[-1] is True
 
 
-def _mass_balance(
-    record: Record, test: TestDescription, inertia: float, cell_period_s: float | None
-) -> FloatArray:
+def _mass_balance(record: Record, test: TestDescription, cell_period_s: float | None) -> FloatArray:
     """ψ by Eq 13 with the mean of both planes' flows and W31 from the mass balance."""
 
     def smooth(values: FloatArray) -> FloatArray:
@@ -125,18 +120,18 @@ def _mass_balance(
 
     flow = 0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, test))
     phi = smooth(record["phi"])
-    power = delivered_power(record, test, flow, phi, inertia_per_m=inertia, smooth=smooth)
+    power = delivered_power(record, test, flow, phi, smooth=smooth)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.asarray(smooth(power) / smooth(flow))
     # The averaged flow may be at zero where that of the row is not.
     return bridged(ratio, psi_is_known(phi))
 
 
-def _energy_form(record: Record, test: TestDescription, inertia: float) -> FloatArray:
+def _energy_form(record: Record, test: TestDescription) -> FloatArray:
     """ψ by Eq 13, W31 as measured."""
     machine = test.compressor
     inlet_Pa = record["P25_Pa"]
-    blading_Pa = record["P31_Pa"] + inertia * record["dW25_dt_kg_s2"]
+    blading_Pa = record["P31_Pa"] + machine.inertia_per_m * record["dW25_dt_kg_s2"]
     mean_Pa = inlet_Pa + EXIT_WEIGHT * (blading_Pa - inlet_Pa)
     rate_Pa_s = rate_of_change(mean_Pa, record.sample_period_s)
     return work_coefficient(

@@ -11,6 +11,7 @@ import numpy as np
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import check_rates
 from classic_ml.whole_run_rows import has_whole_run, whole_run_rows
 from comparisons.results import FitRows, Terms
 from surge_core.errors import InputError
@@ -42,14 +43,7 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
         When the sample rates differ, a record is given twice or lacks the target, or nothing is
         left to fit.
     """
-    periods = [record.sample_period_s for record in records]
-    if max(periods) - min(periods) > 1e-6 * periods[0]:
-        raise InputError(
-            ", ".join(record.source for record in records),
-            expected="records of one sample rate",
-            found=" and ".join(f"{1.0 / period:g} Hz" for period in periods),
-            remedy="compare them one at a time",
-        )
+    check_rates(records)
     check_once(records)
     parts: list[tuple[Any, ...]] = []
     n_labels = 0
@@ -67,7 +61,8 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
         np.concatenate, zip(*parts, strict=True)
     )
     _check_rows(records, phi, measured, target)
-    return FitRows(phi, measured, time_s, labels, record_index, periods[0], target, train)
+    period_s = records[0].sample_period_s
+    return FitRows(phi, measured, time_s, labels, record_index, period_s, target, train)
 
 
 def averaged_rows(

@@ -17,12 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.free_run import near
-from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import LARGEST_SHARE
-from classic_ml.whole_run import Spread, WholeRunFit, check_rates, specification_spread
+from classic_ml.whole_run import (
+    Spread,
+    WholeRunFit,
+    check_rates,
+    output_error,
+    specification_spread,
+)
 from classic_ml.whole_run_rows import (
     WholeRunRows,
     is_blowdown,
@@ -153,7 +158,7 @@ def fit_sparse_whole_runs(
     scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
     if not scored_phi.size:
         nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, 0, FitState.BLOWDOWN
-        model = _output_error(period_s, hold)
+        model = output_error(period_s, hold)
         return SparseWholeRunFit(math.nan, math.nan, [], *nothing, model, plain, (), (), ())
     # Knots and scales where the curve is asked for, not where φ is only simulated through.
     library = CandidateTerms(None, scored_phi[:, None], ["phi"])
@@ -242,14 +247,6 @@ def _all_in_stall(row: WholeRunRows) -> WholeRunRows:
     return replace(row, weight=np.where(left_out, 0.0, 1.0))
 
 
-def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
-    from sklearn.preprocessing import FunctionTransformer
-
-    return LagRegressor(
-        sample_period_s, noise="output-error", hold=hold, basis=FunctionTransformer()
-    )
-
-
 def _result(
     found: SparseRun,
     sample_period_s: float,
@@ -263,7 +260,7 @@ def _result(
     chosen = tuple(replace(row, terms=row.terms[:, list(found.support)]) for row in rows)
     inputs, psi_p, weight, runs = stacked_rows(chosen)
     kept = moving_columns(inputs, len(found.terms))
-    model = _output_error(sample_period_s, hold)
+    model = output_error(sample_period_s, hold)
     if found.terms:
         model.fit(inputs[:, kept], psi_p, segments=runs, sample_weight=weight)
     refused = withheld is not None

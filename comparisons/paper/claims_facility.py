@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import detrend
 
 from classic_ml.calibration import volts
 from classic_ml.cycles import find_cycles
@@ -15,7 +16,7 @@ from classic_ml.flow import (
     true_mach,
 )
 from classic_ml.planes import local_flows, plane_averages
-from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
+from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.paper.claim import Finding, reading
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
 from comparisons.paper.truth import LBM_KG, PSI_PA
