@@ -12,7 +12,7 @@ from comparisons.harness.methods import method_spec, naming_of
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 
-__all__ = ["check_methods", "scores_of"]
+__all__ = ["scores_of"]
 
 CURVE_POINTS = 50
 NAN = float("nan")
