@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -115,11 +115,7 @@ class Document(Table):
     @model_validator(mode="after")
     def _agrees(self) -> Document:
         """Refuse what no table shows for itself, all of it at once."""
-        errors = [*_wrong_names(self), *_wrong_probes(self)]
-        if errors:
-            first, also = errors[0], "; ".join(map(str, errors[1:]))
-            remedy = "; ".join(part for part in (first.remedy, also) if part)
-            raise InputError(first.where, expected=first.expected, found=first.found, remedy=remedy)
+        _refuse([*_wrong_names(self), *_wrong_probes(self)])
         return self
 
 
@@ -143,7 +139,12 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     """
     source = str(path)
     values = read_toml(Path(path), "the description of the test (test.toml)")
-    document = validated(Document, _with_defaults(values, source), source)
+    errors = list(_wrong_defaults(*_defaults_of(values), source))
+    try:
+        document = validated(Document, _with_defaults(values), source)
+    except InputError as error:
+        errors.append(error)
+    _refuse(errors)
     window, channels = document.window, tuple(document.channels.values())
     return TestDescription(
         **document.test.model_dump(),
@@ -162,7 +163,23 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     )
 
 
-def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
+def _refuse(errors: Sequence[InputError]) -> None:
+    """Raise errors as one that lists them all, if there are any."""
+    if errors:
+        first, also = errors[0], "; ".join(map(str, errors[1:]))
+        remedy = "; ".join(part for part in (first.remedy, also) if part)
+        raise InputError(first.where, expected=first.expected, found=first.found, remedy=remedy)
+
+
+def _defaults_of(values: Mapping[str, Any]) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Return the tables of ``[defaults]`` and ``[channels]``, without what is no table."""
+    stated, channels = (values.get(name) for name in ("defaults", "channels"))
+    tables = stated.items() if isinstance(stated, Mapping) else ()
+    defaults = {name: table for name, table in tables if isinstance(table, Mapping)}
+    return defaults, channels if isinstance(channels, Mapping) else {}
+
+
+def _with_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the file with what ``[defaults]`` says of several channels written into each.
 
     A table of it is for a kind (``[defaults.pressure]``), a plane (``[defaults.25]``) or a pattern
@@ -170,10 +187,9 @@ def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     over them all. What a channel has no use for is left out of it, as a calibration of counts
     where it is recorded as a pressure.
     """
-    defaults, channels = values.get("defaults", {}), values.get("channels")
-    if not isinstance(channels, Mapping):
+    defaults, channels = _defaults_of(values)
+    if not channels:
         return dict(values)
-    _check_defaults(defaults, channels, source)
     filled: dict[str, Any] = {}
     for name, own in channels.items():
         if not isinstance(own, Mapping):
@@ -195,17 +211,20 @@ def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     return {**({"adc": {}} if counts else {}), **values, "channels": filled}
 
 
-def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> None:
-    """Refuse defaults for no channel, and keys that none has: a misspelt one would be ignored."""
+def _wrong_defaults(
+    defaults: Mapping[str, Any], channels: Mapping[str, Any], source: str
+) -> Iterator[InputError]:
+    """Find defaults for no channel, and keys that none has: a misspelt one would be ignored."""
     known = {name for model in _MODELS.values() for name in model.model_fields} - {"name"}
-    for name, table in defaults.items() if isinstance(defaults, Mapping) else [("", defaults)]:
-        strange = [key for key in table if key not in known] if isinstance(table, Mapping) else []
-        unused = name not in _GROUPS and not any(fnmatchcase(c, name) for c in channels)
-        if not isinstance(table, Mapping) or strange or unused:
-            raise InputError(
-                f"{source}: defaults.{name}".rstrip("."),
+    for name, table in defaults.items():
+        found = [key for key in table if key not in known]
+        if name not in _GROUPS and not any(fnmatchcase(channel, name) for channel in channels):
+            found.append("a pattern of no name")
+        if found:
+            yield InputError(
+                f"{source}: defaults.{name}",
                 expected="keys of channels, for a kind, a plane or a pattern of their names",
-                found=", ".join(strange) if strange else "a pattern of no name" * unused or "none",
+                found=", ".join(found),
             )
 
 

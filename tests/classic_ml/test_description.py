@@ -80,8 +80,12 @@ def read(folder: Path, tables: dict[str, Any]) -> TestDescription:
             {PROBE: 0.1},
             f"shifts.{PROBE}: expected the name of a forward probe",
         ),
-        ("defaults", {"pressur": {"unit": "count"}}, "defaults.pressur: .* a pattern of no name"),
-        ("defaults", {"pressure": {"slope": 1.0}}, "defaults.pressure: .* found slope"),
+        (
+            "defaults",
+            {"pressur": {"unit": "count"}, "pressure": {"slope": 1.0}, "31": 3.0},
+            "defaults.pressur: .* a pattern of no name; .*defaults.pressure: .* found slope; "
+            ".*defaults.31: expected a table",
+        ),
         ("file", {"time_unit": 3}, "file.time_unit: expected a text"),
         ("file", {"clock": "from the rate"}, "'column' or 'from rate', found 'from the rate'"),
         ("file", 3, "file: expected a table, found 3"),
