@@ -11,7 +11,6 @@ from classic_ml.description import (
     PLAUSIBLE_BIAS_K,
     Converter,
     PressureChannel,
-    TemperatureChannel,
     TestDescription,
 )
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
@@ -73,8 +72,7 @@ def calibrate(
     """
     moved = shifts or {}
     added = []
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    for channel in channels:
+    for channel in test.channels:
         name, unit = channel.name, "Pa"
         if isinstance(channel, PressureChannel):
             values = probe_pressure_Pa(channel, test, record[name])

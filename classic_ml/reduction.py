@@ -116,7 +116,7 @@ def reduce_record(
     settings: ReductionSettings | None = None,
     *,
     keep_probes: bool = True,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> Reduction:
     """Reduce a raw record to the series of coefficients.
 
@@ -131,7 +131,7 @@ def reduce_record(
     keep_probes : bool
         Keep readings, faults and flows of the single probes in the record beside the averages;
         without them it takes a third of the room.
-    progress : callable, optional
+    progress : callable
         Called each time that one of the ``STEPS`` steps is done.
 
     Returns
@@ -145,23 +145,22 @@ def reduce_record(
         When the record cannot be used; the sentence says why.
     """
     chosen = settings if settings is not None else ReductionSettings()
-    done = progress if progress is not None else _unreported
     record, _ = _matched(record, test)
-    done(1)
+    progress(1)
     window = _window(record, test, chosen)
     record = choose_channels(record.after(window.entry), test, window.rows)
-    done(1)
+    progress(1)
     averaged = _averaged(record, test, chosen)
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
-    done(1)
+    progress(1)
     unfiltered, rakes = _unfiltered(record, test, chosen.probe_ramp)
     del record
-    done(1)
+    progress(1)
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
     del averaged
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
-    done(1)
+    progress(1)
     return Reduction(_series(reduced, rakes), reduced, chosen, test, window.times_s)
 
 
@@ -191,10 +190,6 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
     return {name: shifts[name] for name in named if name in sound}
-
-
-def _unreported(_: int) -> None:
-    """Report nothing."""
 
 
 def _matched(record: Record, test: TestDescription) -> tuple[Record, dict[str, float]]:

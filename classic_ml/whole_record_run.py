@@ -33,7 +33,7 @@ from classic_ml.whole_run import (
     has_whole_run,
     output_error,
 )
-from classic_ml.whole_run_rows import WholeRunRows, moving_columns, stacked_rows
+from classic_ml.whole_run_rows import WholeRunRows, stacked_rows
 from surge_core.display import Field, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -309,10 +309,8 @@ def _result(
     tau_s, share, covariance = math.exp(answer.log_tau), answer.share, answer.covariance
     degree = fits[0].spec.degree
     rows = _rows(records, fits, degree)
-    X, y, weight, labels = stacked_rows(rows)
-    kept = moving_columns(X, degree + 1)
     model = output_error(records[0].sample_period_s, "first", tau_s)
-    model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
+    stacked_rows(rows).fitted(model)
     reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
     low_s, high_s = tau_s / reach, tau_s * reach
     if second is not None:
@@ -329,11 +327,9 @@ def _result(
         covariance,
         degree,
         sum(fit.cycles.n for fit in fits),
-        int(np.count_nonzero(weight)),
         state,
         model,
         rows,
-        kept,
         fits,
         (low_s, high_s),
         second,

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_names
 from classic_ml.checks import (
@@ -28,10 +28,10 @@ from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
+    StackedRuns,
     WholeRunRows,
     has_whole_run,
     is_blowdown,
-    moving_columns,
     scored_until,
     stacked_rows,
     whole_run_rows,
@@ -65,27 +65,6 @@ FARTHEST = math.log(2.0)
 
 
 @dataclass(frozen=True)
-class StackedRuns:
-    """All runs of a fit, one behind the other.
-
-    Parameters
-    ----------
-    phi, psi_p, time_s : ndarray of shape (n,)
-        Averaged signals and the facility clock.
-    terms : ndarray of shape (n, q)
-        Inputs of the lag, the nuisances last.
-    run : ndarray of int, shape (n,)
-        Number of the run of each row.
-    """
-
-    phi: FloatArray
-    psi_p: FloatArray
-    time_s: FloatArray
-    terms: FloatArray
-    run: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
 class WholeRunFit(Displayed):
     """A fitted lag model, with the attributes of an estimator.
 
@@ -101,16 +80,14 @@ class WholeRunFit(Displayed):
         Of β, with the errors that all cycles share.
     degree : int
         Of the characteristic.
-    n_blocks_, n_scored_ : int
-        Blocks behind the jackknife and rows scored.
+    n_blocks_ : int
+        Blocks behind the jackknife.
     fit_state_ : FitState
         How it ended.
     model_ : LagRegressor
         The fit behind it, over the averaged terms and the nuisances.
     rows_ : tuple of WholeRunRows
         What was fitted.
-    kept_ : tuple of int
-        Columns of terms and nuisances that the fit used.
     """
 
     time_constant_s_: float
@@ -120,11 +97,9 @@ class WholeRunFit(Displayed):
     covariance_: FloatArray
     degree: int
     n_blocks_: int
-    n_scored_: int
     fit_state_: FitState
     model_: LagRegressor
     rows_: tuple[WholeRunRows, ...]
-    kept_: tuple[int, ...]
 
     def _sheet(self) -> Sheet:
         state = self.fit_state_
@@ -160,18 +135,14 @@ class WholeRunFit(Displayed):
         """φ of the rows at which the curve is known."""
         return np.concatenate([row.scored_phi for row in self.rows_])
 
-    def stacked(self) -> tuple[StackedRuns, NDArray[np.bool_]]:
+    @property
+    def n_scored_(self) -> int:
+        """Rows scored."""
+        return int(sum(row.weight.sum() for row in self.rows_))
+
+    def stacked(self) -> StackedRuns:
         """Return what was fitted, and which rows were scored."""
-        X, y, weight, labels = stacked_rows(self.rows_)
-        X = X[:, self.kept_]
-        stacked = StackedRuns(
-            np.concatenate([row.phi for row in self.rows_]),
-            y,
-            np.concatenate([row.time_s for row in self.rows_]),
-            X,
-            labels,
-        )
-        return stacked, weight > 0.0
+        return stacked_rows(self.rows_)
 
     def checks(self, stated_phi: tuple[float, float]) -> tuple[CheckRow, ...]:
         """Check the errors of the scored rows.
@@ -186,14 +157,13 @@ class WholeRunFit(Displayed):
         """
         if not math.isfinite(self.time_constant_s_):
             return ()
-        X, y, weight, labels = stacked_rows(self.rows_)
-        X = X[:, self.kept_]
-        fit = self.model_.linearised(X, y, labels, weight)
-        phi = np.concatenate([row.phi for row in self.rows_])[fit.rows]
+        rows = self.stacked()
+        fit = self.model_.linearised(rows.terms, rows.psi_p, rows.run, rows.weight)
+        phi = rows.phi[fit.rows]
         pieces = list(fit.pieces)
         return (
             input_correlation(fit.errors, phi, pieces),
-            leverage(self.model_, fit, X[fit.rows]),
+            leverage(self.model_, fit, rows.terms[fit.rows]),
             coverage(phi, runs_of(fit.segment, fit.segment.size), stated_phi),
         )
 
@@ -233,17 +203,15 @@ def fit_whole_runs(
     """
     check_rates(records)
     rows = scored_until([whole_run_rows(record, degree) for record in records], until_s)
-    X, y, weight, labels = stacked_rows(rows)
-    kept = moving_columns(X, degree + 1)
-    X = X[:, kept]
+    stacked = stacked_rows(rows)
     model = output_error(records[0].sample_period_s, hold, time_constant_s)
-    if not np.any(weight > 0.0):
+    if not np.any(stacked.scored):
         return _refusal(model, rows, degree)
-    model.fit(X, y, segments=labels, sample_weight=weight)
+    stacked.fitted(model)
     held, spread = time_constant_s is not None, Spread(0.0, np.zeros((degree + 1, degree + 1)))
     if not held and until_s is None and not is_blowdown(rows):
         spread = specification_spread(records, degree=degree, hold=hold)
-    return _result(model, rows, degree, kept, spread)
+    return _result(model, rows, degree, spread)
 
 
 @dataclass(frozen=True)
@@ -291,12 +259,10 @@ def specification_spread(
     logs, curves = [], []
     higher = tuple(whole_run_rows(record, degree + 1) for record in records)
     for each, order in [*((one, degree) for one in chosen), (higher, degree + 1)]:
-        X, y, weight, labels = stacked_rows(each)
-        if np.count_nonzero(weight) <= X.shape[1]:
+        stacked = stacked_rows(each)
+        if np.count_nonzero(stacked.scored) <= order + 1 + each[0].nuisance.shape[1]:
             continue
-        kept = moving_columns(X, order + 1)
-        model = output_error(period_s, hold)
-        model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
+        model = stacked.fitted(output_error(period_s, hold))
         logs.append(math.log(max(model.time_constant_s_, 1e-6)))
         if order == degree:
             curves.append(model.coef_[: degree + 1])
@@ -332,11 +298,9 @@ def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -
         np.full((degree + 1, degree + 1), math.nan),
         degree,
         0,
-        0,
         FitState.BLOWDOWN,
         model,
         rows,
-        (),
     )
 
 
@@ -344,11 +308,9 @@ def _result(
     model: LagRegressor,
     rows: tuple[WholeRunRows, ...],
     degree: int,
-    kept: tuple[int, ...],
     spread: Spread,
 ) -> WholeRunFit:
     n_terms = degree + 1
-    n_scored = int(sum(row.weight.sum() for row in rows))
     state = model.fit_state_
     covariance = model.covariance_[:n_terms, :n_terms] + spread.curve
     held = model.time_constant_s is not None
@@ -368,11 +330,9 @@ def _result(
         covariance,
         degree,
         int(model.n_blocks_),
-        n_scored,
         state,
         model,
         rows,
-        kept,
     )
 
 

@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.filters import period_average
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from surge_core.errors import InputError
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
+    "StackedRuns",
     "WholeRunRows",
     "has_whole_run",
     "is_blowdown",
-    "moving_columns",
     "scored_until",
     "stacked_rows",
     "whole_run_rows",
@@ -182,45 +183,59 @@ def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
     return scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS)
 
 
-def stacked_rows(
-    rows: Sequence[WholeRunRows],
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+@dataclass(frozen=True)
+class StackedRuns:
+    """All runs of a fit, one behind the other.
+
+    Parameters
+    ----------
+    phi, psi_p, time_s : ndarray of shape (n,)
+        Averaged signals and the facility clock.
+    terms : ndarray of shape (n, q)
+        Inputs of the lag: the terms, then the nuisances of which a record has any.
+    weight : ndarray of shape (n,)
+        1 where a run is scored.
+    run : ndarray of int, shape (n,)
+        Number of the run of each row.
+    """
+
+    phi: FloatArray
+    psi_p: FloatArray
+    time_s: FloatArray
+    terms: FloatArray
+    weight: FloatArray
+    run: IntArray
+
+    @property
+    def scored(self) -> BoolArray:
+        """Rows that are scored."""
+        return np.asarray(self.weight > 0.0)
+
+    def fitted(self, model: LagRegressor) -> LagRegressor:
+        """Return a model, fitted to these rows."""
+        return model.fit(self.terms, self.psi_p, segments=self.run, sample_weight=self.weight)
+
+
+def stacked_rows(rows: Sequence[WholeRunRows]) -> StackedRuns:
     """Return the runs one behind the other.
 
     Parameters
     ----------
     rows : sequence of WholeRunRows
         One for each record.
-
-    Returns
-    -------
-    inputs : ndarray of shape (n, n_terms + 4)
-        Terms and nuisances.
-    psi_p, weight : ndarray of shape (n,)
-        Averaged ψ' and weights.
-    run : ndarray of int, shape (n,)
-        Number of the run of each row.
     """
-    return (
-        np.concatenate([np.column_stack([row.terms, row.nuisance]) for row in rows]),
+    terms = np.concatenate([row.terms for row in rows])
+    nuisance = np.concatenate([row.nuisance for row in rows])
+    # Columns that are nothing would make the fit look rank deficient.
+    moving = np.ptp(nuisance, axis=0) > 1e-9
+    return StackedRuns(
+        np.concatenate([row.phi for row in rows]),
         np.concatenate([row.psi_p for row in rows]),
+        np.concatenate([row.time_s for row in rows]),
+        np.asfortranarray(np.column_stack([terms, nuisance[:, moving]])),
         np.concatenate([row.weight for row in rows]),
         np.concatenate([np.full(row.phi.size, i) for i, row in enumerate(rows)]),
     )
-
-
-def moving_columns(inputs: FloatArray, n_terms: int) -> tuple[int, ...]:
-    """Return the columns of the terms, and of the nuisances those of which a record has any.
-
-    Parameters
-    ----------
-    inputs : ndarray of shape (n, n_terms + 4)
-        Terms and nuisances; columns that are nothing would make the fit look rank deficient.
-    n_terms : int
-        Number of terms.
-    """
-    moving = np.ptp(inputs[:, n_terms:], axis=0) > 1e-9
-    return (*range(n_terms), *(n_terms + np.flatnonzero(moving)).tolist())
 
 
 def _average_s(series: CoefficientSeries) -> float | None:

@@ -32,8 +32,8 @@ STEPS = {
     "looking for what is missing": 10.0,
     "fitting ψ_QS to the power": 3.0,
 }
-# Undecided effects that the answer names; `diagnose` lists all.
-FEW = 3
+# Effects that the answer names; the evidence lists all.
+FEW = 2
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 
@@ -198,11 +198,16 @@ def missing_words(d: Diagnosis) -> str:
         *(f"{text[0].upper()}{text[1:].rstrip('.')}." for text in d.remarks),
     ]
     if d.absent and not d.missing:
-        seen = ", ".join(plain_name(each.effect) for each in d.absent)
-        words.append(f"These would have been seen: {seen}.")
+        seen = " or ".join(plain_name(each.effect) for each in d.absent[:FEW])
+        any_of = counted(len(d.absent), "effect")
+        words.append(f"Any of {any_of} would have been seen, such as {seen}.")
     if d.untold:
-        first = ", ".join(plain_name(each.effect) for each in d.untold[:FEW])
+        # What any of them could do with as well stands in the evidence.
+        few = ", ".join(
+            f"{plain_name(each.effect)} (that needs {each.what_would_tell.partition(';')[0]})"
+            for each in d.untold[:FEW]
+        )
         more = len(d.untold) - FEW
-        others = f" and {counted(more, 'other')}" if more > 0 else ""
-        words.append(f"Not decided by this record: {first}{others}; `diagnose` says what would.")
+        rest = f" and {counted(more, 'other')}, listed in the evidence" if more > 0 else ""
+        words.append(f"This record does not decide on {few}{rest}.")
     return " ".join(words)

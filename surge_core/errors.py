@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 __all__ = ["InputError"]
 
 
@@ -34,8 +36,5 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Survive pickling (worker processes), which plain keyword arguments would not."""
-        return (_rebuild, (self.where, self.expected, self.found, self.remedy))
-
-
-def _rebuild(where: str, expected: str, found: str, remedy: str) -> InputError:
-    return InputError(where, expected=expected, found=found, remedy=remedy)
+        named = {"expected": self.expected, "found": self.found, "remedy": self.remedy}
+        return (partial(InputError, self.where, **named), ())

@@ -5,11 +5,11 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Self
 
-__all__ = ["WITHHOLDING", "AdvisedState", "FitState"]
+__all__ = ["WITHHOLDING", "FitState"]
 
 
-class AdvisedState(StrEnum):
-    """How something ended; a member is its code as written to JSON.
+class FitState(StrEnum):
+    """How a fit ended; a member is its code as written to JSON.
 
     Attributes
     ----------
@@ -25,15 +25,6 @@ class AdvisedState(StrEnum):
         member._value_ = code
         member.advice = advice
         return member
-
-    @property
-    def code(self) -> str:
-        """The code, as written to JSON."""
-        return str(self.value)
-
-
-class FitState(AdvisedState):
-    """How a fit ended."""
 
     CONVERGED = ("converged", "The fit converged.")
     NOT_CONVERGED = (
@@ -185,6 +176,11 @@ class FitState(AdvisedState):
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "
         "with surge cycles",
     )
+
+    @property
+    def code(self) -> str:
+        """The code, as written to JSON."""
+        return str(self.value)
 
     @property
     def withholds(self) -> bool:

@@ -62,8 +62,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         When some pressures were recorded at a lower rate than others.
     """
     marks: dict[str, Marks] = {}
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    for channel in channels:
+    for channel in test.channels:
         marks[channel.name] = _cut_off(record[channel.name], channel, test)
     for names in [*alike(test.pressures, "plane", "facing"), *alike(test.temperatures, "plane")]:
         for name in names:

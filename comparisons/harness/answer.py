@@ -191,8 +191,8 @@ def _curve(comparison: Comparison, first: EstimatorResult) -> Curve | None:
     model, rows = first.model, comparison.rows
     phi, measured = rows.phi, rows.measured
     if first.whole_run is not None:
-        inputs, scored = first.whole_run.stacked()
-        phi, measured = inputs.phi[scored], inputs.psi_p[scored]
+        inputs = first.whole_run.stacked()
+        phi, measured = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored]
     low, high = model.valid_phi
     inside = (phi >= low) & (phi <= high)
     grid, value, stderr = np.asarray(model.table).T

@@ -43,6 +43,14 @@ PEERS = {
     "prediction_error": f"{_ROOM}:PredictionError",
 }
 NAN = float("nan")
+# What a method may lack; of the last three it has all or none.
+LACKING = {
+    "fit_state_": None,
+    "cautions_": (),
+    "time_constant_s_": NAN,
+    "time_constant_stderr_s_": NAN,
+}
+CURVE = {"terms_": (), "coef_": np.empty(0), "covariance_": np.empty((0, 0))}
 
 
 def method_name(given: str) -> str:
@@ -152,54 +160,20 @@ class OwnFit:
         """What simulates: its own ``predict``."""
         return self
 
-    @property
-    def fit_state_(self) -> Any:
-        """How its fit ended, where it says so."""
-        return getattr(self.estimator, "fit_state_", None)
-
-    @property
-    def cautions_(self) -> tuple[str, ...]:
-        """What it warns of."""
-        return tuple(map(str, getattr(self.estimator, "cautions_", ())))
-
-    @property
-    def time_constant_s_(self) -> float:
-        """τ in s; NaN where it has none."""
-        return float(getattr(self.estimator, "time_constant_s_", NAN))
-
-    @property
-    def time_constant_stderr_s_(self) -> float:
-        """Standard error of τ in s; NaN where it has none."""
-        return float(getattr(self.estimator, "time_constant_stderr_s_", NAN))
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the method, or what stands for one that it lacks."""
+        if name in CURVE:
+            whole = all(hasattr(self.estimator, each) for each in CURVE)
+            return getattr(self.estimator, name) if whole else CURVE[name]
+        if name in LACKING:
+            return getattr(self.estimator, name, LACKING[name])
+        raise AttributeError(name)
 
     @property
     def ci95_s_(self) -> tuple[float, float] | None:
         """Its own 95 % interval of τ in s, where it states one."""
         given = getattr(self.estimator, "ci95_s_", None)
         return None if given is None else (float(given[0]), float(given[1]))
-
-    @property
-    def terms_(self) -> tuple[str, ...]:
-        """Names of its terms, where it has terms, coefficients and their covariance."""
-        return self._parts[0]
-
-    @property
-    def coef_(self) -> FloatArray:
-        """Its coefficients, of shape (n_terms,)."""
-        return self._parts[1]
-
-    @property
-    def covariance_(self) -> FloatArray:
-        """Their covariance, of shape (n_terms, n_terms)."""
-        return self._parts[2]
-
-    @property
-    def _parts(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-        names = ("terms_", "coef_", "covariance_")
-        if not all(hasattr(self.estimator, name) for name in names):
-            return (), np.empty(0), np.empty((0, 0))
-        terms, coefficients, covariance = (getattr(self.estimator, name) for name in names)
-        return tuple(map(str, terms)), np.asarray(coefficients), np.asarray(covariance)
 
     def characteristic(self, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return its curve at φ and the error of that, of shape (n,); NaN where it has none."""

@@ -29,7 +29,6 @@ __all__ = [
     "load_models",
     "read_models",
     "save_models",
-    "write_models",
 ]
 
 MODEL_SCHEMA = "sindy-surge/model/1"
@@ -150,12 +149,12 @@ class _Document(Saved, Generic[M]):
     fitted_to: dict[str, float] = Field(default={}, description="mean φ of each record, by name")
 
 
-def write_models(
+def save_models(
     models: Mapping[str, LagModel],
     path: str | Path,
-    form: ModelFormat,
     recommended: str | None = None,
     records: Sequence[CoefficientSeries] = (),
+    form: ModelFormat = MODEL_FORMAT,
 ) -> None:
     """Write models as JSON that :func:`read_models` reads, whole or not at all.
 
@@ -165,12 +164,12 @@ def write_models(
         By name.
     path : str or path
         Target.
-    form : ModelFormat
-        What the file is.
     recommended : str, optional
         The model to believe.
     records : sequence of CoefficientSeries
         What they were fitted to.
+    form : ModelFormat
+        What the file is.
     """
     tables = {name: model.to_json() for name, model in models.items()}
     fitted = {record.source: float(np.mean(record.phi)) for record in records}
@@ -227,28 +226,6 @@ def about_models(path: str | Path) -> tuple[str | None, frozenset[float]]:
     """
     document = json.loads(Path(path).read_text("utf-8"))
     return document.get("recommended"), frozenset(document.get("fitted_to", {}).values())
-
-
-def save_models(
-    models: Mapping[str, FittedLag],
-    path: str | Path,
-    recommended: str | None = None,
-    records: Sequence[CoefficientSeries] = (),
-) -> None:
-    """Write fitted models as JSON, whole or not at all.
-
-    Parameters
-    ----------
-    models : mapping of str to FittedLag
-        By estimator.
-    path : str or path
-        Target.
-    recommended : str, optional
-        The one that the comparison recommended.
-    records : sequence of CoefficientSeries
-        What they were fitted to.
-    """
-    write_models(models, path, MODEL_FORMAT, recommended, records)
 
 
 def load_models(path: str | Path) -> dict[str, FittedLag]:

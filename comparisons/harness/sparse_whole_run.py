@@ -31,7 +31,6 @@ from classic_ml.whole_run import (
 from classic_ml.whole_run_rows import (
     WholeRunRows,
     is_blowdown,
-    moving_columns,
     scored_until,
     stacked_rows,
     whole_run_rows,
@@ -157,9 +156,9 @@ def fit_sparse_whole_runs(
     plain = scored_until([whole_run_rows(record) for record in measured], until_s)
     scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
     if not scored_phi.size:
-        nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, 0, FitState.BLOWDOWN
+        nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, FitState.BLOWDOWN
         model = output_error(period_s, hold)
-        return SparseWholeRunFit(math.nan, math.nan, [], *nothing, model, plain, (), (), ())
+        return SparseWholeRunFit(math.nan, math.nan, [], *nothing, model, plain, (), ())
     # Knots and scales where the curve is asked for, not where φ is only simulated through.
     library = CandidateTerms(None, scored_phi[:, None], ["phi"])
 
@@ -169,12 +168,11 @@ def fit_sparse_whole_runs(
         )
 
     def equations_of(rows: Sequence[WholeRunRows]) -> FreeRunEquations:
-        inputs, psi_p, weight, runs = stacked_rows(rows)
-        n_terms = len(library.names)
-        kept = moving_columns(inputs, n_terms)
-        terms, nuisance = inputs[:, :n_terms], inputs[:, kept[n_terms:]]
-        segments = Segments.from_labels(runs, psi_p.size)
-        return FreeRunEquations(terms, nuisance, psi_p, weight, segments, period_s, hold)
+        stacked = stacked_rows(rows)
+        terms, nuisance = np.hsplit(stacked.terms, [len(library.names)])
+        segments = Segments.from_labels(stacked.run, stacked.psi_p.size)
+        given = terms, nuisance, stacked.psi_p, stacked.weight
+        return FreeRunEquations(*given, segments, period_s, hold)
 
     rows = rows_of(measured)
     equations = equations_of(rows)
@@ -258,11 +256,9 @@ def _result(
     from sindy_surge.candidate_terms import polynomial_degree
 
     chosen = tuple(replace(row, terms=row.terms[:, list(found.support)]) for row in rows)
-    inputs, psi_p, weight, runs = stacked_rows(chosen)
-    kept = moving_columns(inputs, len(found.terms))
     model = output_error(sample_period_s, hold)
     if found.terms:
-        model.fit(inputs[:, kept], psi_p, segments=runs, sample_weight=weight)
+        stacked_rows(chosen).fitted(model)
     refused = withheld is not None
     unknown = np.full((len(found.terms), len(found.terms)), math.nan)
     powers = [polynomial_degree(name, ["phi"]) for name in found.terms]
@@ -274,11 +270,9 @@ def _result(
         unknown if refused else found.covariance[:-1, :-1],
         max((power for power in powers if power is not None), default=0),
         found.n_blocks,
-        int(weight.sum()),
         withheld or found.state,
         model,
         chosen,
-        kept,
         names,
         found.path,
         found.departure,

@@ -140,11 +140,9 @@ def find_structure(
     whole, reason = _whole_or_rows(records, needs)
     if whole:
         run = fit_sparse_whole_runs(records, **settings)
-        inputs, scored = run.stacked()
-        phi, psi_p, n_runs = inputs.phi[scored], inputs.psi_p[scored], len(run.rows_)
-        return FoundStructure(
-            run, tuple(records), "psi_p", "whole runs", reason, phi, psi_p, n_runs, settings
-        )
+        inputs = run.stacked()
+        scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(run.rows_)
+        return FoundStructure(run, tuple(records), "psi_p", "whole runs", reason, *scored, settings)
     from sindy_surge import SparseLagRegressor
 
     settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}

@@ -98,14 +98,14 @@ def trial_of(comparison: Comparison) -> TauTrial:
     for result in fitted:
         if result.whole_run is None:
             continue
-        inputs, scored = result.whole_run.stacked()
+        inputs = result.whole_run.stacked()
         every = np.ones(inputs.phi.size, dtype=np.bool_)
         signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
         averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
         estimate = _estimate(result, float(result.whole_run.model_.residual_std_))
         taus = trial_taus(estimate.tau_s)
         trial = reconstruction_error_over_tau(
-            averaged, inputs.terms, taus, hold=hold, scored=scored
+            averaged, inputs.terms, taus, hold=hold, scored=inputs.scored
         )
         return replace(trial, estimates=(estimate,))
     estimates = tuple(_estimate(result, result.free_run.rms) for result in fitted)

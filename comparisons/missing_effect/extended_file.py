@@ -19,7 +19,7 @@ from comparisons.harness.saved_models import (
     Span,
     StandardError,
     read_models,
-    write_models,
+    save_models,
 )
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
@@ -65,7 +65,7 @@ def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     path : str or path
         Target.
     """
-    write_models(models, path, EXTENDED_FORMAT)
+    save_models(models, path, form=EXTENDED_FORMAT)
 
 
 def load_extended(

@@ -100,7 +100,7 @@ def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
         lower = dress(figure.add_subplot(lows[j], sharex=upper))
         _run_panels(upper, lower, d, run, rows, j)
         if j == 0:
-            lower.set_xlabel(f"time [s], {printable(run.title, LONGEST_NAME)}", fontsize=9)
+            lower.set_xlabel(f"time [s], {printable(run.title)}", fontsize=9)
             legend(upper, loc="upper right", fontsize=TINY, ncols=3)
     if wheres:
         middle = grid[3].subgridspec(1, 2, width_ratios=[1.1, 1.0])
@@ -176,7 +176,7 @@ def _heading(d: Diagnosis) -> str:
 def _lines(d: Diagnosis) -> list[str]:
     """Return what stands below the heading: each effect's equation and numbers, τ, the gap."""
     out = [
-        f"{item.label}: {item.equation};  {numbers_of(item.effect, item.parameters)}"
+        f"{plain_name(item.label)}: {item.equation};  {numbers_of(item.effect, item.parameters)}"
         for item in d.missing
     ]
     closed = d.missing and d.gap.shrink
@@ -245,7 +245,7 @@ def _candidates(ax: Axes, d: Diagnosis) -> None:
         return
     what = "squared errors explained [%]" if by_share else "score [log-units]"
     dress(ax)
-    ax.set_title(f"who, in round {rows[0].round}: {what}", **LEFT)
+    ax.set_title(f"effects tried, round {rows[0].round}: {what}", **LEFT)
     sizes = [100.0 * row.share if by_share else row.score for row in rows]
     largest = max(*sizes, 1.0)
     for place, (row, size) in enumerate(zip(rows, sizes, strict=True)):
@@ -265,7 +265,7 @@ def _candidates(ax: Axes, d: Diagnosis) -> None:
 
 
 def _name(row: CandidateRow) -> str:
-    return open_words(row.name) if "port" in row.place else row.label
+    return plain_name(open_words(row.name) if "port" in row.place else row.label)
 
 
 def _rows_drawn(d: Diagnosis) -> list[CandidateRow]:
@@ -309,5 +309,5 @@ def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
     ax.axhline(0.0, color=INK, lw=0.7)
     ax.set_xlabel(r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]", fontsize=9)
     ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
-    ax.set_title("reverse_flow_branch, where it acts", **LEFT)
+    ax.set_title("reverse flow branch, where it acts", **LEFT)
     legend(ax, loc="upper left", fontsize=TINY)

@@ -173,9 +173,10 @@ def plain_name(name: str) -> str:
     Parameters
     ----------
     name : str
-        Its identifier.
+        Its identifier, or its label, which begins with it.
     """
-    return name.replace("_", " ")
+    first, gap, place = name.partition(" ")
+    return f"{first.replace('_', ' ')}{gap}{place}"
 
 
 def equation_of(effect: Effect) -> str:
@@ -220,7 +221,7 @@ def model_equation(fit: Fit) -> str:
         text += f" {sign}{gap}{significant(abs(float(value)))}{factor}"
     text += f", τ = {tau_ms(fit.tau_s)}"
     for effect in fit.structure.in_order:
-        name = "open term" if effect.unnamed else effect.name
+        name = "open term" if effect.unnamed else plain_name(effect.name)
         text += f"; {name}: {equation_of(effect)}"
     return text
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.lag_words import noise_words
-from comparisons.missing_effect.quantities import model_equation
+from comparisons.missing_effect.quantities import model_equation, plain_name
 from comparisons.missing_effect.results import CLEAR
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import telling_run, telling_stretch, wheres_of
@@ -82,7 +82,7 @@ def diagnosis_parts(
         Part(f"Where the model and the measurement part{on_records(wheres)}", _where(d, wheres)),
         Part("What was added", _added(d)),
         Part("Parameters of the model", _parameters(d)),
-        Part("Who was tried", _who(d)),
+        Part("Effects tried", _tried(d)),
         Part("What is open, absent or out of reach", (Bullets(ledger_words(d)),)),
         Part("Limits", _lines(limits)),
         Part("What would separate an alias set", _lines(separation)),
@@ -155,7 +155,9 @@ def _added(d: Diagnosis) -> tuple[Block, ...]:
     said = tuple(
         words for item in d.missing for words in (effect_words(item), *confirm_words(item))
     )
-    doubts = tuple(f"{item.label}: {why}" for item in d.missing for why in d.doubts_of(item))
+    doubts = tuple(
+        f"{plain_name(item.label)}: {why}" for item in d.missing for why in d.doubts_of(item)
+    )
     return (
         Table.of(d.effect_grid(), prose=_PROSE),
         Bullets(said),
@@ -178,17 +180,18 @@ def _parameters(d: Diagnosis) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _who(d: Diagnosis) -> tuple[Block, ...]:
+def _tried(d: Diagnosis) -> tuple[Block, ...]:
     rows = [row for row in d.candidates if row.fitted]
     twins = isinstance(d, LagDiagnosis) and d.whole_runs
     if not rows:
         return (Words("No effect promised enough to be worth a fit."),)
     marks = tuple("best" if row.chosen or row.alias else "" for row in rows)
     more = len(d.candidates) - len(rows)
+    left = f" {more} more promised too little to be fitted."
     return (
         Words(HOW_TWINS if twins else HOW),
         replace(Table.of(candidate_grid(rows), prose=_PROSE), marks=marks),
-        Words(f"{legend_of(rows)} {more} more promised too little to be fitted.", "quiet"),
+        Words(f"{legend_of(rows)}{left * (more > 0)}", "quiet"),
     )
 
 

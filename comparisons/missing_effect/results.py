@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.quantities import number_rows
+from comparisons.missing_effect.quantities import number_rows, plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.where_words import SYMBOLS
@@ -349,9 +349,9 @@ class Diagnosis(Displayed):
         rows: list[tuple[str, ...]] = []
         for item in self.missing:
             more = len(item.alias_labels) - 2
-            labels = " or ".join(item.alias_labels[:2]) + f" or {more} more" * (more > 0)
+            named = [*map(plain_name, item.alias_labels[:2]), *[f"{more} more"] * (more > 0)]
             numbers = number_rows(item.effect, item.parameters) or (("", ""),)
-            first = (labels, item.equation)
+            first = (" or ".join(named), item.equation)
             rows += [(*(first if i == 0 else ("", "")), *n) for i, n in enumerate(numbers)]
         header = ("effect", "adds", "number", "value")
         return Grid("What is missing", header, tuple(rows), frozenset(range(3)))

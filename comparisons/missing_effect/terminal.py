@@ -9,7 +9,7 @@ from typing import Any
 
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.lag_words import noise_words
-from comparisons.missing_effect.quantities import chance, open_words
+from comparisons.missing_effect.quantities import chance, open_words, plain_name
 from comparisons.missing_effect.results import CandidateRow, Diagnosis
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import wheres_of
@@ -87,7 +87,9 @@ def candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
     columns: dict[str, Callable[[CandidateRow], str]] = {
         "round": lambda row: str(row.round),
         # A name of a lag says where it acts.
-        "candidate": lambda row: open_words(row.name) if "port" in row.place else row.label,
+        "candidate": lambda row: plain_name(
+            open_words(row.name) if "port" in row.place else row.label
+        ),
         "promised": lambda row: _gain(row.promised),
         "explains": lambda row: f"{100.0 * row.share:.1f} %" if math.isfinite(row.share) else "",
         "asked": lambda row: (
@@ -108,7 +110,7 @@ def candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
     kept = [j for j in range(len(columns)) if any(line[j] for line in lines)]
     header = tuple(list(columns)[j] for j in kept)
     words = frozenset((header.index("candidate"), header.index("fate")))
-    return Grid("Who was tried", header, tuple(tuple(r[j] for j in kept) for r in lines), words)
+    return Grid("Effects tried", header, tuple(tuple(r[j] for j in kept) for r in lines), words)
 
 
 def legend_of(rows: Sequence[CandidateRow]) -> str:

@@ -306,8 +306,7 @@ def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench) -> LagDiagnosis:
     verdict = "named" if diagnosis.verdict == "nothing_missing" else diagnosis.verdict
     remark = (
         f"the loss in reversed flow explains {100.0 * share:.0f} % of what the lag model leaves in "
-        f"{reversals} reversals, where the run is not scored; it acts without the lag, and τ and "
-        "the gap are those of the scored rows, which it does not touch"
+        f"{reversals} reversals, where the run is not scored: it moves neither τ nor the rms error"
     )
     return replace(
         diagnosis,

@@ -143,7 +143,8 @@ def effect_words(item: MissingEffect) -> str:
     """
     on_tau = f"What leaving it out does to τ: {item.on_tau}." if item.on_tau else ""
     says = _sentence(item.says)
-    return " ".join(filter(None, [f"{item.label}: {says}" if says else "", on_tau]))
+    name = plain_name(item.label)
+    return " ".join(filter(None, [f"{name}: {says}" if says else "", on_tau]))
 
 
 def confirm_words(item: MissingEffect) -> tuple[str, ...]:
@@ -156,7 +157,8 @@ def confirm_words(item: MissingEffect) -> tuple[str, ...]:
     """
     if len(item.confirm) == 1:
         return tuple(f"To confirm: {words}." for words in item.confirm.values() if words)
-    return tuple(f"To confirm {name}: {words}." for name, words in item.confirm.items() if words)
+    named = {plain_name(name): words for name, words in item.confirm.items() if words}
+    return tuple(f"To confirm {name}: {words}." for name, words in named.items())
 
 
 def ledger_words(d: Diagnosis) -> tuple[str, ...]:
@@ -167,16 +169,19 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     d : Diagnosis
         The diagnosis.
     """
-    absent = ", ".join(f"{a.effect} (from {size_words(a.size, a.unit)} on)" for a in d.absent)
+    absent = ", ".join(
+        f"{plain_name(a.effect)} (from {size_words(a.size, a.unit)} on)" for a in d.absent
+    )
     out = [f"Not there, and would have been seen: {absent}."] if absent else []
     out += [
-        f"Not decided by these records: {u.effect}, {u.why}. It needs {u.what_would_tell}."
+        f"Not decided by these records: {plain_name(u.effect)}, {u.why}. It needs "
+        f"{u.what_would_tell}."
         for u in d.untold
     ]
     out += lag_ledger(d) if isinstance(d, LagDiagnosis) else ()
     reasons: dict[str, list[str]] = {}
     for name, why in d.unavailable.items():
-        reasons.setdefault(why, []).append(name)
+        reasons.setdefault(why, []).append(plain_name(name))
     out += [
         f"Could not be tried on these records: {_listed(names)}: {why}."
         for why, names in reasons.items()
@@ -275,18 +280,18 @@ def _fall_words(d: Diagnosis) -> str:
 
 
 def _alias_words(d: Diagnosis, item: MissingEffect) -> str:
-    others = [label for label in item.alias_labels if label != item.label]
+    others = [plain_name(label) for label in item.alias_labels if label != item.label]
     if not others:
         return ""
     more = len(others) - MOST_ALIASES
     listed = ", ".join(others[:MOST_ALIASES]) + (f" and {more} more" if more > 0 else "")
-    words = f"These records cannot separate {item.label} from {listed}"
+    words = f"These records cannot separate {plain_name(item.label)} from {listed}"
     if not isinstance(d, LagDiagnosis):
         confirm = item.confirm.get(item.label, "")
         return f"{words}{f'; what would: {confirm}' if confirm else ''}."
     reason = ALIAS_REASONS.get(frozenset(item.alias_set), "")
     tau = ", ".join(
-        f"{name} {tau_ms(d.tau_by_alias_s[name])}"
+        f"{plain_name(name)} {tau_ms(d.tau_by_alias_s[name])}"
         for name in item.alias_set
         if name in d.tau_by_alias_s
     )
@@ -297,7 +302,7 @@ def _doubt_words(d: Diagnosis) -> str:
     why: dict[tuple[str, ...], list[str]] = {}
     for item in d.missing:
         if item.provisional:
-            why.setdefault(d.doubts_of(item), []).append(item.label)
+            why.setdefault(d.doubts_of(item), []).append(plain_name(item.label))
     return " ".join(
         f"{_listed(labels)} {'are' if len(labels) > 1 else 'is'} provisional: "
         f"{'; '.join(doubts) or 'it may be another'}."
@@ -334,7 +339,8 @@ def _refused_words(d: Diagnosis) -> str:
     n = len({row.label for row in rows if row.kind == "name"})
     if best is None:
         return f"None of {n} effects tried was worth adding." if n else ""
-    return f"None of {n} effects tried was accepted; the best, {best.label}, {_too_small(best)}."
+    name = plain_name(best.label)
+    return f"None of {n} effects tried was accepted; the best, {name}, {_too_small(best)}."
 
 
 def _too_small(row: CandidateRow) -> str:

@@ -11,6 +11,7 @@ from made_diagnosis import VERDICTS, made_diagnosis
 from made_pages import EVIL
 from made_systems import made_diagnosis as made_system
 
+from comparisons.missing_effect.quantities import plain_name
 from comparisons.results import COLUMNS, Caution
 from surge_core.rounding import bracketed
 
@@ -50,7 +51,7 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
     assert ('class="state"' in html) == good
     assert bracketed(d.tau_after_s, d.tau_stderr_s) in text
     for item in d.missing:
-        assert " or ".join(item.alias_labels[:2]) in text
+        assert " or ".join(map(plain_name, item.alias_labels[:2])) in text
 
 
 @pytest.mark.parametrize("nothing", [True, False])

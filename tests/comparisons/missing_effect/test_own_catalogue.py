@@ -76,7 +76,7 @@ def test_it_is_named_and_shown(found: Diagnosis) -> None:
     assert item["place"] == {"port": "output"}
     assert len(item["alias_labels"]) == 2
     assert item["confirm"][item["effect"]] == "a probe turned by 90°"
-    assert "probe_swirl" in diagnosis_text(found)
+    assert "probe swirl" in diagnosis_text(found)
 
 
 def test_it_is_simulated_saved_and_fitted_again(found: Diagnosis, tmp_path: Path) -> None:
