@@ -156,7 +156,7 @@ def save_models(
     records: Sequence[CoefficientSeries] = (),
     form: ModelFormat = MODEL_FORMAT,
 ) -> None:
-    """Write models as JSON that :func:`read_models` reads, whole or not at all.
+    """Write models as JSON that :func:`load_models` reads, whole or not at all.
 
     Parameters
     ----------
