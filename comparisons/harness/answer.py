@@ -116,7 +116,7 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
 def _not_believed(comparison: Comparison) -> str:
     """Say why no τ of a comparison may be quoted."""
     results = comparison.results
-    withheld = [result.label for result in results if result.state in WITHHOLDING]
+    withheld = [r.label for r in results if r.name == "classic_ml" and r.state in WITHHOLDING]
     whole = [result for result in results if result.whole_run is not None]
     decisive = [
         f"of {result.label} ({result.name}), {DECISIVE[check]}"
@@ -189,10 +189,11 @@ def _curve(comparison: Comparison, first: EstimatorResult) -> Curve | None:
     if not first.states_curve or first.state in WITHHOLDING:
         return None
     model, rows = first.model, comparison.rows
-    phi, measured = rows.phi, rows.measured
+    phi, measured, rising = rows.phi, rows.measured, np.gradient(rows.phi) > 0.0
     if first.whole_run is not None:
         inputs = first.whole_run.stacked()
         phi, measured = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored]
+        rising = (np.gradient(inputs.phi) > 0.0)[inputs.scored]
     low, high = model.valid_phi
     inside = (phi >= low) & (phi <= high)
     grid, value, stderr = np.asarray(model.table).T
@@ -208,4 +209,5 @@ def _curve(comparison: Comparison, first: EstimatorResult) -> Curve | None:
         stderr[known],
         phi[inside],
         measured[inside],
+        rising[inside],
     )

@@ -129,8 +129,8 @@ def _quotable(
     """
     if spread_speeds(records) or not all(map(_is_clean_run, records)):
         return ()
-    # Where one of them cannot tell, the others are not believed alone: they know no twins.
-    if any(result.state in WITHHOLDING for result in results):
+    # Where `classic_ml` cannot tell, the others are not believed alone: they know no twins.
+    if any(result.name == "classic_ml" and result.state in WITHHOLDING for result in results):
         return ()
     found = [
         result.name

@@ -126,8 +126,8 @@ def verdict_sentence(d: Diagnosis) -> str:
     lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
     lag = d if isinstance(d, LagDiagnosis) else None
     if lag is not None and lag.reverse_loss is not None and len(d.missing) == 1:
-        # It acts where the run is not scored: neither τ nor the gap knows of it.
-        return f"{lead}; τ stays at {tau_ms(lag.tau_after_s, lag.tau_stderr_s)}."
+        # It acts where the run is not scored: the τ to quote is that of the comparison.
+        return f"{lead}."
     it = "them" if len(each) > 1 else "it"
     tau = f", and {tau_words(lag)}" if lag is not None else ""
     return f"{lead}: with {it} {_fall_words(d)}{tau}."

@@ -10,7 +10,7 @@ from comparisons.results.names import SYMBOLS
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.rounding import bracketed, round_like, round_to_error
 from surge_core.terms import pretty_term, terms_json
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["Answer", "Curve"]
 
@@ -33,6 +33,9 @@ class Curve:
         The curve and its standard error over that range.
     measured_phi, measured : ndarray of shape (m,)
         The scored rows, with the lag in them.
+    rising : ndarray of bool, shape (m,)
+        Where φ rises at them: the lag holds ψ' below a rising curve then, and above it where φ
+        falls.
     """
 
     target: str
@@ -45,6 +48,7 @@ class Curve:
     stderr: FloatArray
     measured_phi: FloatArray
     measured: FloatArray
+    rising: BoolArray
 
     def equation(self) -> str:
         """Write the curve in its terms, each number rounded to its standard error."""

@@ -10,6 +10,7 @@ from comparisons.page.style import (
     coefficient_symbol,
     dress,
     estimator_styles,
+    legend_above,
     new_figure,
     printable,
     robust_limits,
@@ -20,7 +21,7 @@ from surge_core.rounding import round_to_error
 __all__ = ["answer_part", "curve_picture"]
 
 # So small a figure stays legible at the width of a phone.
-WIDTH_IN, HEIGHT_IN = 4.8, 3.7
+WIDTH_IN, HEIGHT_IN = 4.8, 4.1
 POINTS_DRAWN = 2000
 BAND = 1.96
 CENTRAL = (1.0, 95.0)
@@ -58,8 +59,13 @@ def curve_picture(curve: Curve, estimator: str = "", truth: Truth | None = None)
     figure = new_figure(WIDTH_IN, HEIGHT_IN)
     ax = dress(figure.add_subplot())
     step = -(-curve.measured.size // POINTS_DRAWN)
-    points = curve.measured_phi[::step], curve.measured[::step]
-    ax.plot(*points, ".", ms=2, color=FAINT, label="measured")
+    phi, measured = curve.measured_phi[::step], curve.measured[::step]
+    rising = curve.rising[::step]
+    # The lag holds the points off the curve, on one side as φ falls and on the other as it rises.
+    for label, rows, mark in (("φ falling", ~rising, "v"), ("φ rising", rising, "^")):
+        ax.plot(
+            phi[rows], measured[rows], mark, ms=2.5, mew=0, color=FAINT, label=f"measured, {label}"
+        )
     colour = estimator_styles([estimator or "classic_ml"])[estimator or "classic_ml"].colour
     band = curve.value - BAND * curve.stderr, curve.value + BAND * curve.stderr
     ax.fill_between(curve.phi, *band, color=colour, alpha=0.25, lw=0, label="95 % band")
@@ -76,7 +82,7 @@ def curve_picture(curve: Curve, estimator: str = "", truth: Truth | None = None)
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
     word = "pressure" if curve.target == "psi_p" else "work"
     ax.set_ylabel(f"{word} coefficient {coefficient_symbol(curve.target)} [-]")
-    ax.legend(loc="upper left", fontsize=9, frameon=True, framealpha=0.9, edgecolor="none")
+    legend_above(figure, ax)
     at = [
         f"{round_to_error(float(value), float(error))} at φ = {phi:.3f}"
         for phi, value, error in zip(curve.phi, curve.value, curve.stderr, strict=True)
@@ -87,6 +93,6 @@ def curve_picture(curve: Curve, estimator: str = "", truth: Truth | None = None)
         f"{name} over φ",
         figure,
         f"{name} over φ: {shown}.",
-        f"{name} with its 95 % band where φ was scored. The points are measured and lie off the "
-        "curve by the lag.",
+        f"{name} with its 95 % band where φ was scored. The lag holds the measured points off "
+        "the curve, on one side as φ falls and on the other as it rises.",
     )

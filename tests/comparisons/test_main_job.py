@@ -117,9 +117,13 @@ def test_the_time_constant_over_seeds_and_speeds() -> None:
 
 def test_one_blowdown_after_another_is_read_from_all_forward_rows() -> None:
     """The rows in stall alone are too few; the passes out of it hold τ to a few per cent."""
-    comparison = compare_records([rig_series("blowdown", 0)], estimators=only("classic_ml"))
+    both = only("classic_ml", "sindy")
+    comparison = compare_records([rig_series("blowdown", 0)], estimators=both)
     low_s, high_s = comparison.result("classic_ml").model.ci95_s
     assert low_s < TAU_S < high_s < 1.5 * low_s
+    # A rival that refuses takes nothing from an interval that its own twins stand behind.
+    assert comparison.result("sindy").state == "blowdown"
+    assert comparison.quotable == ("classic_ml",)
 
 
 def test_one_blowdown_after_another_without_its_rakes_is_refused() -> None:
