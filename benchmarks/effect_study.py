@@ -39,15 +39,8 @@ from effect_study_tables import Row, report
 from threadpoolctl import threadpool_limits
 
 from classic_ml.series import CoefficientSeries
-from comparisons.rig.coefficient_tests import (
-    EFFECTS,
-    NOISES,
-    OUTSIDE,
-    PAIRS,
-    CoefficientTest,
-    Noise,
-    simulate_test,
-)
+from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_tests import NOISES, CoefficientTest, Noise, simulate_test
 
 PARTS = ("effects", "nulls", "outside", "without", "pairs", "speed")
 STRENGTHS = (0.5, 1.5, 3.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from comparisons.rig.coefficient_tests import EFFECTS
+from comparisons.rig.coefficient_effects import EFFECTS
 
 Row = dict[str, Any]
 

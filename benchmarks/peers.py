@@ -163,7 +163,8 @@ def diagnosis_rows(options: argparse.Namespace) -> list[Row]:
     from effect_study_pysindy import RIGHT_TERMS
     from effect_study_tables import false_names, outcome, tau_error_after
 
-    from comparisons.rig.coefficient_tests import EFFECTS, NOISES
+    from comparisons.rig.coefficient_effects import EFFECTS
+    from comparisons.rig.coefficient_tests import NOISES
 
     warm_up()
     first, count = 1000, options.seeds or 2

@@ -17,16 +17,6 @@ from classic_ml.records import Channel, LedgerEntry, Record, fault_name
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "calibrate",
-    "check_facing",
-    "invert_thermocouples",
-    "near_stall_match",
-    "near_stall_rows",
-    "probe_pressure_Pa",
-    "volts",
-]
-
 # Fewer rows than this and the match is worth no more than one noisy reading.
 MINIMUM_NEAR_STALL_ROWS = 20
 # What a probe in the wake of its mate reads, over the total pressure, up to sonic flow.

@@ -13,8 +13,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["PiecewiseLinear", "feature_names", "polynomial_names", "term_names"]
-
 
 class PiecewiseLinear(TransformerMixin, BaseEstimator):
     """The inputs of Fig 22: a constant and one slope for each piece of a continuous line.

@@ -24,16 +24,6 @@ from classic_ml.whitening import (
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
-__all__ = [
-    "CheckRow",
-    "coverage",
-    "input_correlation",
-    "leverage",
-    "normality",
-    "residual_checks",
-    "whiteness",
-]
-
 # Down and up again, and once more: less than three sweeps is a single excursion.
 FEWEST_SWEEPS = 3
 FALSE_ALARM = 0.01

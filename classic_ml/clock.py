@@ -7,8 +7,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_TOLERANCE", "uniform_period_s"]
-
 # A clock printed with few digits jitters by one digit, which is 0.12 of a step for 0.1 ms at
 # 1234.5 Hz; a clock that jitters more does not say when its rows were taken.
 CLOCK_TOLERANCE = 0.15

@@ -11,17 +11,6 @@ from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "PSI_MINIMUM_PHI",
-    "coefficients",
-    "corrected_speed_fraction",
-    "flow_coefficient",
-    "pressure_coefficient",
-    "psi_is_known",
-    "rate_of_change",
-    "work_coefficient",
-]
-
 # ψ is a power over W25. On the 98.5 % record its 5 to 95 % range in stall is -7 to 9 for
 # |φ| >= 0.03, and 1.2 to 5 for φ >= 0.05; in reversed flow T25 is the temperature of the exit's gas
 # and ψ has no meaning.

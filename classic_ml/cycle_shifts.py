@@ -12,8 +12,6 @@ from surge_core.leave_out import leave_out
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["CycleShifts", "cycle_shifts"]
-
 # Fewer segments are cut, so that the others can say what is usual: with six, clean records raise
 # an alarm in 5 to 20 % of the cases instead of 1 to 3 %.
 FEWEST_CYCLES = 10

@@ -15,16 +15,6 @@ from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "DEEP_SHARE",
-    "FEW_CYCLES",
-    "LEAST_SWING",
-    "SurgeCycles",
-    "deep_ones",
-    "find_cycles",
-    "first_reversal",
-]
-
 # Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.
 CYCLE_BAND_HZ = 30.0
 # A cycle fills and empties the plenum: P31 rises by at least this share of its mean.

@@ -20,25 +20,6 @@ from classic_ml.units import COMMON_UNITS, COUNT, Conversion, conversion_to_si, 
 from surge_core.errors import InputError
 from surge_core.models import Table
 
-__all__ = [
-    "COUNT_KEYS",
-    "PLAUSIBLE_BIAS",
-    "PLAUSIBLE_BIAS_K",
-    "AnyChannel",
-    "Compressor",
-    "Converter",
-    "CountChannel",
-    "FileLayout",
-    "NearStall",
-    "PressureChannel",
-    "ProbePair",
-    "TemperatureChannel",
-    "TestDescription",
-    "Text",
-    "Window",
-    "key",
-]
-
 # The match takes out the drift of an amplifier. A reading that is off by more has another unit,
 # or its zero and calibrate readings belong to another channel.
 PLAUSIBLE_BIAS = 0.2

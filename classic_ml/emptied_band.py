@@ -14,8 +14,6 @@ from scipy.signal import detrend, welch
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
-__all__ = ["emptied_above_hz"]
-
 LONGEST_PIECE = 2048
 SHORTEST_PIECE = 32
 # Half the width, as a share of the frequency, of the running median that takes out lines such as

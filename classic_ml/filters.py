@@ -12,8 +12,6 @@ from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["filter_channels", "low_pass", "period_average", "phase_delay_s"]
-
 
 def low_pass(
     values: FloatArray, sample_rate_hz: float, *, order: int, cutoff_hz: float, phase: str

@@ -10,8 +10,6 @@ from surge_core.display import Grid
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.types import FloatArray
 
-__all__ = ["characteristic_grid", "equation_with_errors", "factor", "milliseconds"]
-
 
 def characteristic_grid(terms: Sequence[str], coef: FloatArray, covariance: FloatArray) -> Grid:
     """Return the terms of a fitted lag as a table.

@@ -8,20 +8,6 @@ from classic_ml.description import Compressor
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "LBM_KG",
-    "P_STANDARD_PA",
-    "T_STANDARD_K",
-    "calculated_mach",
-    "choked_flow",
-    "corrected_flow",
-    "corrected_from_physical",
-    "mach_from_corrected_flow",
-    "pair_flow",
-    "physical_flow",
-    "true_mach",
-]
-
 # US standard day, as the paper's corrected quantities use it, and the avoirdupois pound.
 P_STANDARD_PA = 101_325.0
 T_STANDARD_K = 288.15

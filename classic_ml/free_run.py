@@ -13,8 +13,6 @@ from classic_ml.filters import period_average
 from classic_ml.records import Dropped, LedgerEntry, Record, fault_name
 from surge_core.types import BoolArray, IntArray
 
-__all__ = ["extend_while_settled", "free_run_rows", "near"]
-
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
 MINIMUM_PHI = 0.0075
 # The loss in reversed flow acts without the lag and reaches into every average that touches a

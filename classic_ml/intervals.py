@@ -6,8 +6,6 @@ import numpy as np
 
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["bridged", "equal_runs", "intervals_where", "label_intervals"]
-
 
 def intervals_where(state: BoolArray) -> IntArray:
     """Return the intervals of True.

@@ -14,14 +14,6 @@ from surge_core.lag import FirstOrderLag, Hold
 from surge_core.segments import scored_pieces
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "LagData",
-    "Piece",
-    "Terms",
-    "drift_of_runs",
-    "nearly_orthogonal",
-]
-
 # A knot every other row leaves nothing for the lag to explain.
 FEWEST_ROWS_A_KNOT = 4
 # Up to here the eigenvectors of the Gram matrix keep half of all digits; beyond, QR is called.

@@ -20,8 +20,6 @@ from surge_core.leave_out import (
 )
 from surge_core.types import FloatArray
 
-__all__ = ["LagFit", "Newton", "fit_lag", "newton", "without_blocks"]
-
 # From a fifth of a sample to the longest segment. A first-order lag looks much the same over a
 # factor of three in τ to either side. The equations' sum of squares is a parabola in a and b, so
 # that there a search ends at its one minimum from anywhere.

@@ -28,8 +28,6 @@ from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
-__all__ = ["LagRegressor"]
-
 # Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
 NO_RESPONSE = 1e-12
 

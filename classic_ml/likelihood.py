@@ -17,8 +17,6 @@ from classic_ml.noise_models import MovingAverage
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["Profile", "jacobian", "profile"]
-
 # Below this a start adds less than a rounding error.
 FORGOTTEN = 1e-17
 

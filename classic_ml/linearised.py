@@ -11,8 +11,6 @@ from classic_ml.likelihood import jacobian, profile
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["LinearisedFit", "linearised"]
-
 
 @dataclass(frozen=True)
 class LinearisedFit:

@@ -9,8 +9,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["MAXIMUM_ORDER", "NOISE_KINDS", "MovingAverage", "NoiseKind"]
-
 NoiseKind = Literal["arx", "armax", "output-error"]
 NOISE_KINDS: tuple[NoiseKind, ...] = ("arx", "armax", "output-error")
 MAXIMUM_ORDER = 2

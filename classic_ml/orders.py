@@ -22,8 +22,6 @@ from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 from surge_core.validation import whole_number
 
-__all__ = ["OrderRow", "OrderTable", "select_order"]
-
 # As many rows train as in a comparison, and the later ones test.
 TRAIN_SHARE = 2.0 / 3.0
 FEWEST_ROWS = 30

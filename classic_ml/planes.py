@@ -14,8 +14,6 @@ from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["local_flows", "plane_averages"]
-
 # One reading in a hundred that is no pressure is noise at a probe; more is a wrong reference.
 IMPOSSIBLE_SHARE = 0.01
 BLOCK_ROWS = 1 << 13

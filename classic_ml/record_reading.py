@@ -14,8 +14,6 @@ from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["RecordReading"]
-
 
 @dataclass(frozen=True)
 class RecordReading:

@@ -13,18 +13,6 @@ from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "Channel",
-    "Dropped",
-    "LedgerEntry",
-    "Record",
-    "counted",
-    "fault_name",
-    "ledger_grid",
-    "ledger_lines",
-    "ledger_words",
-]
-
 
 @dataclass(frozen=True)
 class Dropped:

@@ -43,8 +43,6 @@ from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.types import BoolArray
 
-__all__ = ["STEPS", "Reduction", "ReductionSettings", "near_stall_shifts", "reduce_record"]
-
 # As often as a reduction reports that it has got further.
 STEPS = 5
 # With the right threshold 1 to 15 % of the window on 13 simulated records; with half of it, as

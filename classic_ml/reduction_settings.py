@@ -10,8 +10,6 @@ from classic_ml.work.forms import WORK_FORMS
 from surge_core.errors import InputError
 from surge_core.validation import one_of, positive
 
-__all__ = ["ReductionSettings"]
-
 _CHOICES = {
     "filter_order": (3, 5),
     "phase": ("zero", "causal", "none"),

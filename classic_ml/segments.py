@@ -13,19 +13,6 @@ from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "RAKE_DIFFERENCE",
-    "SHORTEST_S",
-    "cell_frequency_hz",
-    "cell_period_s",
-    "estimated_threshold_lbm_s",
-    "hub_tip_stall",
-    "in_stall_by_threshold",
-    "segment",
-    "shows_stall",
-    "window_rows",
-]
-
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
 # What two rakes read differently at plane 25, and how near its line the cells' line is looked for.

@@ -17,8 +17,6 @@ from surge_core.errors import InputError
 from surge_core.rounding import significant
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MINIMUM_ROWS", "CoefficientSeries"]
-
 MINIMUM_ROWS = 100
 
 

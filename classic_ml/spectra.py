@@ -8,8 +8,6 @@ import scipy.signal
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["peak_frequency_hz", "power_spectrum"]
-
 # 1600 samples at 1 kHz: bins of 0.625 Hz, which hold the paper's 81.2 and 162 Hz.
 RECORD_SAMPLES = 1600
 

@@ -21,8 +21,6 @@ from classic_ml.whole_record.passes import Passes
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["Twin", "twin_of"]
-
 # What a twin takes for the truth holds the cells with a harmonic, and hardly any of the noise.
 HARMONICS = 2.6
 INLET_K_HZ = 60.0

@@ -17,16 +17,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "COMMON_UNITS",
-    "COUNT",
-    "Conversion",
-    "conversion_to_si",
-    "kind_of_unit",
-    "same_unit",
-    "split_reference",
-]
-
 COUNT = "count"
 _COUNT_WORDS = ("count", "counts", "code", "codes", "adc counts", "raw counts", "lsb", "1")
 # Labels that state nothing: a form's empty field.

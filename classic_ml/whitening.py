@@ -8,8 +8,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["autoregressive_innovations", "bartlett_widening", "lagged_correlation"]
-
 ORDERS = (0, 1, 2, 3, 5, 8, 12, 18, 27)
 # Enough to find an autoregression to a per cent; all rows are filtered with it.
 ROWS_FOR_ORDER = 50_000

@@ -30,8 +30,6 @@ from surge_core.fit_state import FitState
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["LARGEST_SHARE", "N_TWINS", "WholeRecordFit", "fit_whole_record"]
-
 N_TWINS = 20
 # Fewer cycles than this make no jackknife.
 FEWEST_CYCLES = 6

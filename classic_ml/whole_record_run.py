@@ -25,21 +25,12 @@ from classic_ml.whole_record_fit import (
     WholeRecordFit,
     fit_whole_record,
 )
-from classic_ml.whole_run import (
-    FARTHEST,
-    WholeRunFit,
-    check_rates,
-    fit_whole_runs,
-    has_whole_run,
-    output_error,
-)
-from classic_ml.whole_run_rows import WholeRunRows, stacked_rows
+from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
+from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
 from surge_core.display import Field, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
-
-__all__ = ["Reading", "WholeRecordRun", "fit_whole_records", "has_rakes", "window_of"]
 
 # Two standard deviations, as of an interval of 95 %.
 APART = 2.0

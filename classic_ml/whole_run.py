@@ -30,7 +30,6 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     StackedRuns,
     WholeRunRows,
-    has_whole_run,
     is_blowdown,
     scored_until,
     stacked_rows,
@@ -42,19 +41,6 @@ from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
-
-__all__ = [
-    "Spread",
-    "StackedRuns",
-    "WholeRunFit",
-    "WholeRunRows",
-    "check_rates",
-    "fit_whole_runs",
-    "has_whole_run",
-    "output_error",
-    "specification_spread",
-    "whole_run_rows",
-]
 
 # What could as well be taken for granted: rows this much farther from every change, and this share
 # of the scored rows at either end of φ left out.

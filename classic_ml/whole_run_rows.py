@@ -13,16 +13,6 @@ from classic_ml.series import CoefficientSeries
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "StackedRuns",
-    "WholeRunRows",
-    "has_whole_run",
-    "is_blowdown",
-    "scored_until",
-    "stacked_rows",
-    "whole_run_rows",
-]
-
 # Where the line of the unstalled branch is levelled, the same for all records of a fit.
 UNSTALLED_PHI = 0.25
 # Width of the average that finds the reversed flow behind the loss term, in seconds.

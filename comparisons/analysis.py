@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from comparisons.harness.structure_fit import FoundStructure
     from comparisons.missing_effect import Diagnosis
 
-__all__ = ["STEPS", "Analysis", "analyse", "missing_words"]
-
 # Each with the seconds that it lasts on a record of 4000 rows; only their ratios matter.
 STEPS = {
     "looking through the file": 0.3,

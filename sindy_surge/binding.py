@@ -11,8 +11,6 @@ from sindy_surge.state_terms import PhysicalForm
 from surge_core.rounding import bracketed
 from surge_core.terms import pretty_term
 
-__all__ = ["LIMITS", "Binding", "binding_constraints"]
-
 # Standard errors that a coefficient may lie on the wrong side: 5 %, one-sided for a sign.
 LIMITS = {"positive": 1.645, "negative": 1.645, "forbidden": 1.96}
 

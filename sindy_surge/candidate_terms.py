@@ -14,8 +14,6 @@ from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CandidateTerms", "independent_columns", "polynomial_degree"]
-
 # With more inputs their products with ψ' would be most of the library.
 _MOST_INPUTS_WITH_STATE = 2
 

@@ -11,8 +11,6 @@ from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
-__all__ = ["cautions_of", "check_parameters", "is_constant"]
-
 
 def check_parameters(estimator: Any) -> None:
     """Refuse parameters of `SparseLagRegressor` that cannot be used.

@@ -10,9 +10,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["Constraints", "constraints_of"]
-
-
 _WORDS = ("required", "forbidden", "positive", "negative")
 
 

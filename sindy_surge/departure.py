@@ -16,8 +16,6 @@ import numpy as np
 from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.linear_problem import Support
 
-__all__ = ["Departure", "departure_from"]
-
 # Gain is √(squared error saved / squared error of the parabola) over the free run. On 90 true
 # parabolas of machines drawn at random, gain · √(seconds scored) was 0.21 in the middle, 0.39 for
 # nine of ten and 0.46 for 95 %; of 46 fresh ones 4 exceeded it. The fewer passes, the more of their

@@ -10,9 +10,6 @@ import numpy as np
 from sindy_surge.lag_problem import LagProblem
 from surge_core.types import FloatArray
 
-__all__ = ["Features", "features"]
-
-
 _SMALL_STEP = 1e-5
 
 

@@ -11,9 +11,6 @@ from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["FreeModel", "driven", "run_lag", "simulate", "solve_recursion"]
-
-
 _MOST_STEPS = 60
 _STEP = 1e-6
 

@@ -13,8 +13,6 @@ from sindy_surge.segments import Segments, block_slices
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["FreeRunEquations", "FreeRunFit"]
-
 _SHORTEST_SAMPLES = 0.1
 # A lag three times the longest run looks like an integrator.
 _LONGEST_RUNS = 3.0

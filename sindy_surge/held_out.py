@@ -19,21 +19,6 @@ from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
 from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = [
-    "Equations",
-    "HeldOutFit",
-    "Trials",
-    "best_of_each_size",
-    "climb",
-    "model_error_dominates",
-    "pays",
-    "polynomial_ladder",
-    "select_by_held_out",
-    "special_structures",
-    "with_held_out",
-]
-
-
 # A characteristic in stall falls, turns and rises: a cubic (Moore & Greitzer 1986) is the
 # most that is asked of a polynomial when the data cannot tell a term from an error.
 _HIGHEST_DEGREE = 3

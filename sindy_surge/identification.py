@@ -31,9 +31,6 @@ from sindy_surge.uncertainty import sandwich
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
-__all__ = ["Choices", "Identified", "identify"]
-
-
 # Blocks of rows are drawn whole; none is shorter than this many rows.
 _SHORTEST_BLOCK = 20
 # More terms than this may stand in for one kink between two knots.

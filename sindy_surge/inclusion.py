@@ -11,9 +11,6 @@ from sindy_surge.linear_problem import unit_norms, without_nuisances
 from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
-__all__ = ["inclusion_probabilities"]
-
-
 # Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when
 # a term acts in that block alone, and decides nothing: χ² changes by one part in 1e9.
 _LEAST_WEIGHT = 1e-9

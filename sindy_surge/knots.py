@@ -16,8 +16,6 @@ from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
-__all__ = ["MovedKnot", "knot_columns", "moved_knots", "with_hinges"]
-
 # Knots tried over the range of φ; between two of them a hinge is placed to within a
 # fiftieth of the range, from where its χ² is a parabola.
 _TRIED = 50

@@ -14,9 +14,6 @@ from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 
-__all__ = ["Equations", "Point", "equations_about", "noise_in_inputs", "start_point"]
-
-
 # Second difference by a parabola through seven points (Savitzky & Golay 1964, table of 2nd
 # derivatives): a plain one would be mostly noise.
 _SECOND_DIFFERENCE = np.array([5.0, 0.0, -3.0, -4.0, -3.0, 0.0, 5.0]) / 42

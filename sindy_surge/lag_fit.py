@@ -20,20 +20,6 @@ from sindy_surge.linear_problem import LinearProblem, least_squares, without_nui
 from sindy_surge.segments import Segments
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = [
-    "StructureFit",
-    "WhiteEquations",
-    "fit_structure",
-    "information",
-    "linearise",
-    "moved_point",
-    "output_error",
-    "refitted",
-    "scan_lag",
-    "white_equations",
-]
-
-
 _MAX_STEPS = 20
 # Steps before the estimated noise of φ is damped: a kink can throw it to and fro for ever.
 _UNDAMPED = 6

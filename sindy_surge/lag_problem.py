@@ -15,9 +15,6 @@ from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["LagProblem", "UsableRows"]
-
-
 # τ below a thousandth of the sample period is no lag at all: e^-1000 = 0.
 _SHORTEST_LAG_SAMPLES = 1e-3
 # Part of a sample of dead time that is rounding.

@@ -13,15 +13,6 @@ from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
-__all__ = [
-    "StallLibrary",
-    "default_knots",
-    "default_library",
-    "hinge_name",
-    "piecewise_linear_library",
-]
-
-
 # Highest total degree of the polynomials; less for many inputs.
 _DEGREE = 5
 # No record of a few thousand rows separates more polynomial terms than this.

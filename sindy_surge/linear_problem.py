@@ -10,15 +10,6 @@ import numpy as np
 from surge_core.leave_out import leave_out
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = [
-    "LinearProblem",
-    "Support",
-    "least_squares",
-    "leave_out_moves",
-    "unit_norms",
-    "without_nuisances",
-]
-
 Support = tuple[int, ...]
 
 

@@ -10,9 +10,6 @@ from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
-
-
 # The least noise assumed is that of a 12-bit converter whose range is five standard deviations,
 # 5 / 4096 / √12: below it, rounding and interpolation would ask for terms.
 _RELATIVE_FLOOR = 3.5e-4

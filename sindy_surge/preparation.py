@@ -29,9 +29,6 @@ from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
 from surge_core.types import FloatArray
 
-__all__ = ["Prepared", "prepare"]
-
-
 # A dead time is believed beyond this many standard errors of the fit of all terms.
 _BELIEVED = 4.0
 # Share of χ² that terms with ψ' must leave to be counted among all terms.

@@ -31,9 +31,6 @@ from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
 
-__all__ = ["SparseLagRegressor"]
-
-
 # Equations that a lag with its simplest characteristic (1, φ) needs beside its own unknowns.
 _SPARE_EQUATIONS = 8
 

@@ -13,8 +13,6 @@ from surge_core.leave_out import block_edges
 from surge_core.segments import runs_of
 from surge_core.types import IndexArray
 
-__all__ = ["Segments", "block_slices"]
-
 
 @dataclass(frozen=True)
 class Segments:

@@ -16,9 +16,6 @@ from sindy_surge.sparse_paths import beam_search, proposals
 from sindy_surge.state_terms import PhysicalForm, physical_form
 from surge_core.types import FloatArray
 
-__all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
-
-
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
 _GAMMA = 1.5
 # Differences in χ² below this do not decide between structures of one size.

@@ -12,8 +12,6 @@ from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["OPTIMIZERS", "beam_search", "proposals", "proposed_supports", "without_required"]
-
 OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "best-subset")
 
 # Dropping the term whose loss hurts least needs one regression for each term left: 0.2 s with

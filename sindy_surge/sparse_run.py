@@ -22,9 +22,6 @@ from surge_core.fit_state import FitState
 from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["SparseRun", "select_on_free_run"]
-
-
 # A cycle that alone reaches part of the range of φ cannot be foretold by the others: its error
 # would decide the mean of twenty.
 _MOST_LEVERAGE = 0.5

@@ -11,9 +11,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["PhysicalForm", "ProductStateTerms", "physical_form"]
-
-
 # ψ'², ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
 # a time shift between the channels.
 _OWN_POWERS = (2,)

@@ -12,8 +12,6 @@ from surge_core.fit_state import FitState
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error
 from surge_core.terms import pretty_term
 
-__all__ = ["ModelSummary", "interval95"]
-
 _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 
 

@@ -17,16 +17,6 @@ from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 from surge_core.validation import whole_number
 
-__all__ = [
-    "EquationParts",
-    "TermValues",
-    "pysindy_equations",
-    "rate_of",
-    "signed_sum",
-    "uncertain",
-    "write_equation",
-]
-
 # From the inputs (n, n_inputs), delayed already, and ψ' (n,) to the terms (n, n_terms) in order.
 TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 # An error below this share of the value is rounding: the value is taken as exact.

@@ -10,9 +10,6 @@ from sindy_surge.lag_fit import StructureFit
 from sindy_surge.lag_problem import LagProblem
 from surge_core.types import FloatArray
 
-__all__ = ["sandwich"]
-
-
 # Scores further apart than two time constants are taken for independent.
 _LAG_IN_TAU = 2.0
 _MOST_LAGS_SHARE = 0.05

@@ -11,13 +11,6 @@ from sindy_surge.linear_problem import LinearProblem, Support, least_squares, wi
 from sindy_surge.segments import Segments
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = [
-    "MIN_HALF_WIDTH",
-    "WeakEquations",
-    "half_width_samples",
-]
-
-
 # Below 4 samples the trapezoid sums of (1 - z²)⁴ and of its slope are no longer accurate.
 MIN_HALF_WIDTH = 4
 # Exponent of the test function: three derivatives vanish at its ends.

@@ -7,8 +7,6 @@ import textwrap
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Displayed", "Field", "FittedDisplay", "Grid", "Sheet"]
-
 _LINE_WIDTH = 100
 
 # Colours are the notebook's own, so that a dark theme stays dark; the tints are see-through.

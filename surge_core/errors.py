@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 
-__all__ = ["InputError"]
-
 
 class InputError(ValueError):
     """Input that cannot be used, in one sentence a user can act on.

@@ -11,8 +11,6 @@ from typing import Any
 
 from surge_core.errors import InputError
 
-__all__ = ["check_apart", "check_target", "replace_whole", "to_strict_json", "write_whole"]
-
 
 def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
     """Refuse, before any work is done, a target that cannot be written.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Self
 
-__all__ = ["WITHHOLDING", "FitState"]
-
 
 class FitState(StrEnum):
     """How a fit ended; a member is its code as written to JSON.

@@ -10,8 +10,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["FirstOrderLag", "Hold"]
-
 Hold = Literal["zero", "first"]
 
 

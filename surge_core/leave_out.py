@@ -15,15 +15,6 @@ from numpy.typing import ArrayLike
 
 from surge_core.types import FloatArray, IndexArray, IntArray
 
-__all__ = [
-    "Rest",
-    "block_edges",
-    "correlation_length",
-    "leave_out",
-    "scatter",
-    "slow_correlation_length",
-]
-
 # A long record is cut into twenty: enough to estimate a variance to a sixth, few enough that a
 # block is long against the memory of its errors.
 BLOCKS = 20

@@ -18,8 +18,6 @@ from pydantic.fields import FieldInfo
 
 from surge_core.errors import InputError
 
-__all__ = ["Table", "read_toml", "validated"]
-
 M = TypeVar("M", bound=BaseModel)
 
 LONGEST_VALUE = 60

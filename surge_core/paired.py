@@ -10,8 +10,6 @@ import numpy as np
 from surge_core.leave_out import correlation_length, scatter
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["block_errors", "block_rms", "compared", "diebold_mariano", "paired_difference"]
-
 MINIMUM_BLOCKS = 6
 MINIMUM_LOSS_BLOCKS, FEWEST_LOSSES = 12, 16
 

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-__all__ = ["shown_count", "shown_over", "shown_steps"]
-
 _T = TypeVar("_T")
 
 REFRESH_S = 0.5

@@ -12,8 +12,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["toml_text", "write_record_folder"]
-
 
 def write_record_folder(
     folder: Path,

@@ -4,16 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = [
-    "NOT_KNOWN",
-    "bracketed",
-    "decimals_for",
-    "log_units",
-    "round_like",
-    "round_to_error",
-    "significant",
-]
-
 # Beyond these a number is easier read with a power of ten.
 PLAIN_RANGE = (1e-4, 1e6)
 # Below this, which no measurement reaches, a float has lost its digits: the value is exact.

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["runs_of", "scored_pieces"]
-
 
 def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
     """Return the rows of each segment: stretches of equal label, in order.

@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["pretty_term", "terms_json"]
-
 _GREEK = {"phi": "φ", "psi_p": "ψ'", "psi": "ψ", "plenum": "Ψ"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

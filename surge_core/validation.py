@@ -6,8 +6,6 @@ import numpy as np
 
 from surge_core.errors import InputError
 
-__all__ = ["one_of", "positive", "whole_number"]
-
 
 def one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
     """Refuse a value that is not one of those allowed."""

@@ -22,8 +22,6 @@ from classic_ml.intervals import bridged
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name
 from surge_core.errors import InputError
 
-__all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_bridged"]
-
 # Measured on the 98.5 % record with its inlet pressures raised until the probes clip: 1.3 % of
 # the rows shift ψ'_QS by 0.03, as much as the calibration's own error; 8 % shift it by 0.32.
 CLIPPED_SHARE = 0.01

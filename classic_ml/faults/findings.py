@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 from classic_ml.description import PressureChannel, TemperatureChannel
 from classic_ml.records import Record, fault_name
 
-__all__ = [
-    "BEYOND_LIMITS",
-    "CLIPPED",
-    "MARK_WORDS",
-    "SPIKED",
-    "STUCK",
-    "alike",
-    "marked_rows",
-]
-
 # Kinds of mark in the channels `fault_NAME`, added up where they coincide.
 CLIPPED = 1
 STUCK = 2

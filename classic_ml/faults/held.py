@@ -15,8 +15,6 @@ from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["check_held", "held_rows"]
-
 # In steps of the resolution, and half a one, so that no rounding decides. Two readings of a noise
 # that makes such a step are alike by chance in one case of fourteen at most.
 LARGE_STEPS = 8.5

@@ -20,8 +20,6 @@ from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import LedgerEntry, Record
 from surge_core.errors import InputError
 
-__all__ = ["check_near_stall"]
-
 # On 12 untouched records the end of the reading differs from the rest by 0.07 % at most; a machine
 # that is throttled slowly towards its limit drifts by a few per cent.
 STEADY = 0.05

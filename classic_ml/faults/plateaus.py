@@ -16,8 +16,6 @@ from classic_ml.faults.held import held_rows
 from classic_ml.intervals import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["range_ends"]
-
 # Rows at which a channel must be seen to be cut off.
 LEAST_ROWS = 6
 # Bit-equal readings at the extreme for each of the eight steps short of it, in steps of the

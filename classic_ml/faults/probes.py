@@ -12,8 +12,6 @@ from classic_ml.faults.findings import alike, marked_rows
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 
-__all__ = ["Agreement", "compare_probes", "disagreements", "slow_pressures"]
-
 # Averages over a 40th of a second, and of two such, leave the surge cycle and little of the stall
 # cells, which pass the rakes one after the other.
 AVERAGE_HZ = 40.0

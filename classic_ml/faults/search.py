@@ -28,8 +28,6 @@ from classic_ml.intervals import equal_runs
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["inspect_readings"]
-
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
 # A short dropout differs from a plateau by its edges: both are jumps far beyond the usual step.

@@ -10,8 +10,6 @@ from scipy.ndimage import maximum_filter1d
 
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["spike_rows"]
-
 # A spike is one row or two wide, and is compared with what its channel does for 25 rows on either
 # side. On 52 records of the simulated rigs, stall cells and all, no reading stands out by more than
 # 3.5 times that while the probes beside it are quiet; 0.01 of the range are 41 codes of 12 bits.

@@ -22,8 +22,6 @@ from classic_ml.io.description_file import Plane, TestTable
 from classic_ml.units import COUNT, kind_of_unit, split_reference
 from surge_core.models import Table
 
-__all__ = ["draft_test_toml"]
-
 _HEAD = """\
 # Description of a test, drafted from {source}.
 # Lines that begin with "#" hold what the file does not say: fill them in and take the "#" away.

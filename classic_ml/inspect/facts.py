@@ -17,8 +17,6 @@ from classic_ml.units import conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file"]
-
 # How the name of a clock begins, in small letters.
 CLOCK_NAMES = ("time", "elapsed time")
 # A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.

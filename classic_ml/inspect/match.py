@@ -16,8 +16,6 @@ from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelMatch", "TestMatch", "match_test"]
-
 
 @dataclass(frozen=True)
 class ChannelMatch:

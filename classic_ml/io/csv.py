@@ -17,8 +17,6 @@ from classic_ml.io.table import Columns, StoredTable
 from classic_ml.units import kind_of_unit
 from surge_core.errors import InputError
 
-__all__ = ["open_csv"]
-
 SEPARATORS = (",", ";", "\t")
 TRUTHS = ("true", "false")
 # Lines in which the decimal sign is looked for, and characters that hold them.

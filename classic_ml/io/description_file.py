@@ -30,8 +30,6 @@ from classic_ml.units import COUNT, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
 
-__all__ = ["Document", "read_test_description"]
-
 _SPEED = "a speed of 100 to 200 000 revolutions a minute"
 # What a table of [defaults] may be for, beside a pattern of names.
 _GROUPS = ("pressure", "temperature", "25", "31")
@@ -41,6 +39,8 @@ _MODELS: dict[str, type[Table]] = {
 
 
 class TestTable(Table):
+    """The table `[test]`."""
+
     name: Text
     sample_rate_hz: float = key("a number above 0", gt=0.0)
     # A fan of 10 m turns above 100, a micro turbine below 2e5.
@@ -49,12 +49,16 @@ class TestTable(Table):
 
 
 class Plane(Table):
+    """A table `[planes.N]`."""
+
     area_m2: float = key(
         "an area of 0.0001 to 10 m²", "is it in cm² or square inches?", ge=1e-4, le=10.0
     )
 
 
 class Planes(Table):
+    """The table `[planes]`."""
+
     inlet: Plane = Field(alias="25", description="a table")
     exit: Plane = Field(alias="31", description="a table")
 
@@ -68,6 +72,8 @@ def _threshold(value: Any) -> Any:
 
 
 class Segmentation(Table):
+    """The table `[segmentation]`."""
+
     threshold_lbm_s: Annotated[float | Literal["none"] | None, BeforeValidator(_threshold)] = None
     hysteresis_lbm_s: float = key("a number from 0 on", default=0.0, ge=0.0)
 

@@ -17,8 +17,6 @@ from classic_ml.io.table import StoredTable, fault_of
 from classic_ml.io.tdms import open_tdms
 from surge_core.errors import InputError
 
-__all__ = ["open_stored"]
-
 _FORMATS = {
     "a CSV table": (open_csv, (".csv",)),
     "a MAT file": (open_mat, (".mat",)),

@@ -12,8 +12,6 @@ import numpy as np
 from classic_ml.description import FileLayout
 from classic_ml.io.table import StoredTable, Vector, along, grouped
 
-__all__ = ["open_hdf5"]
-
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units")
 
 

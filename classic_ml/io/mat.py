@@ -13,8 +13,6 @@ from classic_ml.description import FileLayout
 from classic_ml.io.hdf5 import open_hdf5
 from classic_ml.io.table import StoredTable, Vector, along, grouped
 
-__all__ = ["open_mat"]
-
 
 @contextmanager
 def open_mat(file: Path, layout: FileLayout) -> Iterator[StoredTable]:

@@ -10,8 +10,6 @@ from typing import Any
 from classic_ml.description import FileLayout
 from classic_ml.io.table import StoredTable, Vector, grouped
 
-__all__ = ["check_items", "open_netcdf"]
-
 
 @contextmanager
 def open_netcdf(file: Path, layout: FileLayout) -> Iterator[StoredTable]:

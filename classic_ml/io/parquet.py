@@ -14,8 +14,6 @@ from classic_ml.description import FileLayout
 from classic_ml.io.table import BLOCK_ROWS, Columns, StoredTable
 from surge_core.errors import InputError
 
-__all__ = ["open_parquet"]
-
 
 @contextmanager
 def open_parquet(file: Path, layout: FileLayout) -> Iterator[StoredTable]:

@@ -19,8 +19,6 @@ from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["MOST_VALUES", "read_raw"]
-
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
 MOST_VALUES = 200_000_000

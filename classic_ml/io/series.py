@@ -30,8 +30,6 @@ from surge_core.errors import InputError
 from surge_core.files import replace_whole
 from surge_core.types import FloatArray
 
-__all__ = ["ledger_path", "read_series", "write_series"]
-
 # A compressor surges a few times a second: what is sampled more slowly shows no cycle.
 LONGEST_STEP_S = 0.05
 SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from classic_ml.description import FileLayout
 from surge_core.errors import InputError
 
-__all__ = ["BLOCK_ROWS", "Columns", "StoredTable", "Vector", "along", "fault_of", "grouped"]
-
 # Rows that a reader takes at once: 40 MB of 20 channels.
 BLOCK_ROWS = 1 << 18
 # How many groups a sentence names.

@@ -14,8 +14,6 @@ from classic_ml.description import FileLayout
 from classic_ml.io.table import StoredTable, Vector, grouped
 from surge_core.errors import InputError
 
-__all__ = ["open_tdms"]
-
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "Unit", "unit", "Units", "units")
 
 

@@ -21,19 +21,6 @@ from classic_ml.whole_record.rakes import RakeSignals
 from surge_core.lag import FirstOrderLag
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "BranchFit",
-    "Specification",
-    "design",
-    "fit_branches",
-    "has_loss",
-    "least_error",
-    "profile",
-    "responses",
-    "scored_rows",
-    "specification",
-]
-
 TAUS_S = np.geomspace(0.004, 0.08, 31)
 # Half the width of the search once τ is known nearly, and of the second difference.
 AROUND, STEP = 0.5, 0.03

@@ -16,8 +16,6 @@ from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["cell_frequency_hz", "without_cells"]
-
 # A cell passes the rakes some ten to some two hundred times a second; the upper end is where the
 # sampled line still has ten samples in four periods.
 LOWEST_HZ, HIGHEST_SHARE = 30.0, 0.4

@@ -12,8 +12,6 @@ from classic_ml.flow import T_STANDARD_K, choked_flow
 from classic_ml.records import LedgerEntry
 from surge_core.types import FloatArray
 
-__all__ = ["STEP", "Chain", "PairChain"]
-
 STEP = "rakes"
 # Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
 LARGEST_SHARE = 0.98

@@ -19,16 +19,6 @@ from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "Scatter",
-    "delay_of_exit",
-    "jackknife",
-    "law_of_probes",
-    "scatter_of",
-    "specifications",
-    "variants",
-]
-
 MOST_BLOCKS = 20
 # Eq 2 was calibrated down to about this calculated Mach number; below it is an assumption.
 RAMP_MACH = 0.03

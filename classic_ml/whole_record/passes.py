@@ -14,8 +14,6 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Passes", "passes_of", "threshold_between"]
-
 # An overload is over when the thermocouple's answer to it is: five of its 10 ms; and the flow that
 # leads into it belongs to it.
 BEFORE_OVERLOAD_S, AFTER_OVERLOAD_S = 0.02, 0.05

@@ -16,8 +16,6 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["Planes", "RakeSignals", "rake_signals", "rake_signals_of"]
-
 # The fourth difference passes white noise with the square of its coefficients and hardly any of
 # what is slower than a tenth of the sample rate.
 DIFFERENCE, GAIN = 4, 70.0

@@ -16,8 +16,6 @@ from classic_ml.whole_record.branches import Specification, design, least_error,
 from classic_ml.whole_record.passes import Passes
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["StallLevels", "estimated_state", "refined_state", "state_by_levels"]
-
 # After stall φ must fall below this share of the flow of recovery before it can recover again.
 REARMED_SHARE = 0.4
 # φ and its slope are read over these, so that noise switches nothing.

@@ -17,16 +17,6 @@ from classic_ml.flow import choked_flow, corrected_from_physical
 from classic_ml.records import Record
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "EXIT_WEIGHT",
-    "MIXING_PHI",
-    "credit_of_storage",
-    "delivered_power",
-    "exit_flow_at_inlet",
-    "flat_average",
-    "impossible_rows",
-]
-
 # Weight κ of the exit in the mean pressure of the internal volume: a linear rise from 25 to 31.
 EXIT_WEIGHT = 0.5
 # Flow below which T31 no longer says what left the blading. One plane's flow is known to 1.5 kg/s

@@ -36,8 +36,6 @@ from surge_core.leave_out import leave_out, scatter
 from surge_core.types import BoolArray, FloatArray, IntArray
 from surge_core.validation import positive
 
-__all__ = ["WorkCharacteristic", "fit_work_characteristic"]
-
 # Rows below are simulated, not scored; what is left near zero flow has next to no power.
 SCORED_PHI = 0.01
 # Range of τ that is searched, in seconds, and the points of the first scan.

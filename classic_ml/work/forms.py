@@ -16,8 +16,6 @@ from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
 from surge_core.types import FloatArray
 
-__all__ = ["WORK_FORMS", "with_work"]
-
 # ψ_QS moves by a fifth of itself over the flows of a stall; where the two planes' flows disagree by
 # half of that, Eq 13 shows their disagreement and not the work.
 FLOW_MISMATCH_LIMIT = 0.1

@@ -19,8 +19,6 @@ from comparisons.cli.shared import (
     write_asked,
 )
 
-__all__ = ["BENCH_SCHEMA", "COMMAND"]
-
 BENCH_SCHEMA = "sindy-surge/bench/1"
 
 

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from comparisons.harness.estimators import EstimatorSpec
     from comparisons.results import Comparison
 
-__all__ = ["COMMAND", "comparison_lines", "models_to_save"]
-
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.answer import answer_of

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
 
-__all__ = ["COMMAND"]
-
 # The paper's main case, and the one in which ψ could be had too; the second 98.5 % instability
 # is for validation: nothing is fitted to it.
 FITTED = (("985", "98.5 % speed"), ("90", "90 % speed"))

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
     from comparisons.missing_effect.lag_result import LagDiagnosis
 
-__all__ = ["COMMAND"]
-
 HIGHEST_DEGREE, DEFAULT_DEGREE = 8, 2
 # More is no missing effect any more but another model.
 MOST_EFFECTS = 3

@@ -22,8 +22,6 @@ from surge_core.progress import shown_steps
 if TYPE_CHECKING:
     from surge_core.types import FloatArray
 
-__all__ = ["COMMAND"]
-
 TIME = "time_s"
 FUNCTIONS = ("sqrt", "sin", "cos", "abs")
 HIGHEST_DEGREE = 6

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from sindy_surge.discover.loop_lag import Branch
     from sindy_surge.discover.loops import SurgeLoop
 
-__all__ = ["discover_series_loop", "loop_document", "loop_parts", "loop_text"]
-
 
 def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = None) -> SurgeLoop:
     """Discover the loop of a reduced record, from its unfiltered columns where it has them.

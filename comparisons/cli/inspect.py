@@ -9,8 +9,6 @@ from comparisons.cli.shared import Command, argument, reads, write_asked, writes
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
-__all__ = ["COMMAND"]
-
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.inspect import draft_test_toml, inspect_file, match_test

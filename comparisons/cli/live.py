@@ -22,8 +22,6 @@ from surge_core.files import check_apart, check_target
 if TYPE_CHECKING:
     from comparisons.live.feeds import Feed
 
-__all__ = ["COMMAND"]
-
 _BEHAVIOUR = """\
 While it runs, the operating point comes from pressures behind a causal low-pass (48 Hz, about 7 ms
 late). Surge is reported when the flow at plane 25 has run backwards for 3 ms, some 12 ms after the

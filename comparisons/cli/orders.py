@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from classic_ml.orders import OrderTable
     from comparisons.results import Caution
 
-__all__ = ["COMMAND"]
-
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
 NO_TAU = (

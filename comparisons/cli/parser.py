@@ -31,8 +31,6 @@ from comparisons.cli import (
 )
 from surge_core.errors import InputError
 
-__all__ = ["build_parser", "main"]
-
 EXIT_DONE = 0
 EXIT_UNUSABLE = 2
 # 128 + SIGINT, as a shell reports a process that was interrupted.

@@ -25,8 +25,6 @@ from surge_core.progress import shown_over
 if TYPE_CHECKING:
     from comparisons.results import Reconstruction
 
-__all__ = ["COMMAND"]
-
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import read_series

@@ -23,9 +23,8 @@ from surge_core.errors import InputError
 from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
-    from classic_ml.reduction import Reduction, ReductionSettings
-
-__all__ = ["COMMAND", "SERIES_SUFFIXES"]
+    from classic_ml.reduction import Reduction
+    from classic_ml.reduction_settings import ReductionSettings
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.

@@ -11,9 +11,7 @@ from comparisons.cli.shared import argument, number, whole
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.reduction import ReductionSettings
-
-__all__ = ["REDUCTION", "options_named", "reduction_settings"]
+    from classic_ml.reduction_settings import ReductionSettings
 
 # Each is stored under the name of the field of the settings behind it.
 REDUCTION = (
@@ -74,7 +72,7 @@ def reduction_settings(given: argparse.Namespace) -> ReductionSettings:
     InputError
         Naming the field of the settings; :func:`options_named` makes the option of it.
     """
-    from classic_ml.reduction import ReductionSettings
+    from classic_ml.reduction_settings import ReductionSettings
 
     fields = {each.name: getattr(given, each.name) for each in REDUCTION}
     if given.window_s is not None:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from comparisons.paper.claim import Claim
     from comparisons.show.report import ReportSection
 
-__all__ = ["COMMAND", "claims_sections"]
-
 # Machines drawn about the paper's, on which claims are tested as well.
 MACHINES = 4
 ABOUT = (

@@ -20,8 +20,6 @@ from comparisons.cli.shared import (
 from surge_core.files import check_apart, to_strict_json, write_whole
 from surge_core.progress import shown_steps
 
-__all__ = ["COMMAND"]
-
 PAGE, NUMBERS, SERIES = "report.html", "run.json", "series.csv"
 DRAWING_S = 5.0
 

@@ -9,8 +9,6 @@ from comparisons.harness.saved_models import load_models
 from comparisons.missing_effect.extended_file import is_extended_file, load_extended
 from comparisons.results import LagModel
 
-__all__ = ["load_any_models"]
-
 
 def load_any_models(path: str | Path) -> dict[str, LagModel]:
     """Read lag models, or lag models with effects: whichever the file says that it holds.

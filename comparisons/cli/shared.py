@@ -22,35 +22,6 @@ if TYPE_CHECKING:
     from comparisons.page.blocks import Part
     from comparisons.results import Answer
 
-__all__ = [
-    "FIGURES",
-    "HOLD",
-    "JSON",
-    "METHOD",
-    "RAW",
-    "REPORT",
-    "SCHEDULER",
-    "SERIES",
-    "Argument",
-    "Command",
-    "argument",
-    "check_folder",
-    "command_line",
-    "drawing",
-    "fitting",
-    "measuring",
-    "number",
-    "read_records",
-    "reads",
-    "seed",
-    "take_away",
-    "time_constant",
-    "whole",
-    "working",
-    "write_asked",
-    "writes",
-]
-
 # How far fits, twins, passes of a step and pictures are, on a terminal only.
 fitting = partial(shown_over, unit="fit", words="fitting")
 measuring = partial(shown_over, unit="twin", words="measuring twins")

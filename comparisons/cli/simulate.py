@@ -8,9 +8,6 @@ from pathlib import Path
 
 from comparisons.cli.shared import Command, argument, number, seed
 
-__all__ = ["COMMAND"]
-
-
 # What a rig lacks, by the name of the option.
 _LACKS = {"lumped": ("draw",), "distributed": ("case", "hide", "hide_size")}
 

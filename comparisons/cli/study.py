@@ -9,8 +9,6 @@ from pathlib import Path
 from comparisons.cli.shared import SCHEDULER, Command, argument, command_line, whole
 from surge_core.errors import InputError
 
-__all__ = ["COMMAND"]
-
 
 def _run(given: argparse.Namespace) -> Iterator[str]:
     from joblib import cpu_count

@@ -9,8 +9,6 @@ from comparisons.cli.shared import JSON, RAW, Command, argument, reads, write_as
 from surge_core.errors import InputError
 from surge_core.progress import shown_count, shown_steps
 
-__all__ = ["COMMAND"]
-
 TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
 
 

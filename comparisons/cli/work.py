@@ -18,8 +18,6 @@ from comparisons.cli.shared import (
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
-__all__ = ["COMMAND"]
-
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_raw

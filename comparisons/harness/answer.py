@@ -16,8 +16,6 @@ from comparisons.results import Answer, Comparison, Curve, EstimatorResult
 from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import round_to_error, significant
 
-__all__ = ["answer_of"]
-
 NOT_LOOKED_FOR = "not looked for here; `sindy-surge diagnose` or `sindy-surge run` does"
 # Two readings of one τ differ by no more than so many of their combined standard errors.
 APART = 2.0

@@ -10,19 +10,9 @@ from classic_ml.emptied_band import emptied_above_hz
 from classic_ml.records import LedgerEntry
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record_run import WholeRecordRun
-from classic_ml.whole_run import has_whole_run
+from classic_ml.whole_run_rows import has_whole_run
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.results import Caution, EstimatorResult, FitRows
-
-__all__ = [
-    "comparison_cautions",
-    "filter_cautions",
-    "lacks_ledger",
-    "psi_by_rise",
-    "spread_speeds",
-    "tau_caution",
-    "unknown_work",
-]
 
 # Records this far apart in corrected speed have different characteristics.
 SPEED_SPREAD = 0.03

@@ -45,8 +45,6 @@ from surge_core.segments import runs_of
 from surge_core.threads import one_thread
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["compare_records"]
-
 CURVE_POINTS = 121
 Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
 

@@ -15,11 +15,10 @@ from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record_fit import N_TWINS
 from classic_ml.whole_record_run import fit_whole_records, has_rakes
-from classic_ml.whole_run import fit_whole_runs, has_whole_run
+from classic_ml.whole_run import fit_whole_runs
+from classic_ml.whole_run_rows import has_whole_run
 from comparisons.results import ESTIMATOR_LABELS, FitRows
 from surge_core.lag import Hold
-
-__all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints"]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,6 @@ import numpy as np
 from comparisons.results import FitScore
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["dwelt_on", "rms", "score_fit", "trusted_range"]
-
 # The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24) and
 # gives no level; the true in-stall φ of the simulated rig lies between these percentiles much as
 # the paper's range does. On filtered data the low end holds the filter's overshoot too.

@@ -23,16 +23,6 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "ENTRY_POINTS",
-    "PEERS",
-    "OwnFit",
-    "check_method",
-    "method_name",
-    "method_spec",
-    "naming_of",
-]
-
 ENTRY_POINTS = "sindy_surge.methods"
 _ROOM = "comparisons.harness.peers"
 # Other people's methods that come with the package; each asks for its own library when it is made.

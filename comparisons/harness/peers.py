@@ -20,8 +20,6 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["Frols", "NarxNetwork", "PlainPysindy", "PredictionError"]
-
 # C keeps its root inside the circle, or the filter that whitens runs away.
 LARGEST_C = 0.999
 # A simulation that runs off stays finite, and is scored as what it is.

@@ -14,8 +14,6 @@ from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import FittedLag, LagModel, Reconstruction
 from surge_core.paired import compared
 
-__all__ = ["reconstruct_record", "validate_models"]
-
 NORMAL_95 = 1.96
 
 

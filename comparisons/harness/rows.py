@@ -18,8 +18,6 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of, scored_pieces
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "averaged_rows", "check_once", "stack_rows"]
-
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
 # start of its own.

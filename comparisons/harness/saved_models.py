@@ -17,20 +17,6 @@ from surge_core.errors import InputError
 from surge_core.files import to_strict_json, write_whole
 from surge_core.models import Table, validated
 
-__all__ = [
-    "MODEL_SCHEMA",
-    "NULLABLE",
-    "ModelFormat",
-    "Saved",
-    "SavedModel",
-    "Span",
-    "StandardError",
-    "about_models",
-    "load_models",
-    "read_models",
-    "save_models",
-]
-
 MODEL_SCHEMA = "sindy-surge/model/1"
 
 

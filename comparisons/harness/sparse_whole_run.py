@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from sindy_surge.sparse_run import SparseRun
     from sindy_surge.summary import ModelSummary
 
-__all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
-
 # Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
 LOWEST_PHI, GUARD_S = 0.01, 0.003
 

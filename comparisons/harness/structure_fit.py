@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_run import has_whole_run
+from classic_ml.whole_run_rows import has_whole_run
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.rows import stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
@@ -19,8 +19,6 @@ from surge_core.display import Displayed, Field, Sheet
 if TYPE_CHECKING:
     from sindy_surge.summary import ModelSummary
     from surge_core.types import FloatArray
-
-__all__ = ["FoundStructure", "find_structure"]
 
 CURVE_POINTS = 201
 

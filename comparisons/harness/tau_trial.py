@@ -13,8 +13,6 @@ from surge_core.lag import FirstOrderLag, Hold
 from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["reconstruction_error_over_tau", "trial_of", "trial_taus"]
-
 N_TAUS = 61
 # Half a decade and more to either side shows both arms of the curve.
 REACH = 4.0

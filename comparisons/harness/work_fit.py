@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.reduction import reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
@@ -17,8 +18,6 @@ from surge_core.errors import InputError
 if TYPE_CHECKING:
     from classic_ml.io import TestDescription
     from classic_ml.records import Record
-
-__all__ = ["fit_work"]
 
 # Slopes over less than this share of the range are not separated from the errors of φ.
 LEAST_PIECE = 0.25

@@ -20,8 +20,6 @@ from classic_ml.io import TestDescription
 from classic_ml.segments import SHORTEST_S
 from comparisons.live.operating_point import low_pass_delay_s
 
-__all__ = ["CycleCounter", "Sighting", "SurgeDetector"]
-
 # The filtered flow stays below zero for tens of milliseconds in a surge, for one or two in noise
 # about a flow near zero.
 REVERSED_S = 0.003

@@ -11,8 +11,6 @@ from typing import Any, TextIO
 from classic_ml.flow import LBM_KG
 from comparisons.live.monitor import Monitor
 
-__all__ = ["Terminal", "live_document"]
-
 CLEAR_LINE = "\r\x1b[K"
 # The quantities of an operating point: label, name, factor and format.
 QUANTITIES: tuple[tuple[str, str, float, str], ...] = (

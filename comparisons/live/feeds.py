@@ -13,8 +13,6 @@ from pathlib import Path
 
 from surge_core.errors import InputError
 
-__all__ = ["Closed", "Feed", "Opened", "listening", "piped"]
-
 CHUNK = 65_536
 # 2,000 columns of 30 characters: more than any test has, and nothing beside the memory.
 LONGEST_LINE = 65_536

@@ -13,13 +13,12 @@ import pandas as pd
 
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
-from classic_ml.reduction import ReductionSettings, near_stall_shifts
+from classic_ml.reduction import near_stall_shifts
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.live.detection import Sighting, SurgeDetector
 from comparisons.live.estimate import Estimate, estimate_of
 from comparisons.live.operating_point import SETTLED_S, points_of
 from surge_core.errors import InputError
-
-__all__ = ["FEED", "Monitor"]
 
 # What the feed is called in messages.
 FEED = "the feed"

@@ -19,8 +19,6 @@ from classic_ml.io import TestDescription
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
 
-__all__ = ["CUTOFF_HZ", "ORDER", "SETTLED_S", "low_pass_delay_s", "points_of"]
-
 # The low-pass of the reduction (ReductionSettings), run once.
 ORDER, CUTOFF_HZ = 3, 48.0
 # The slowest pole of that low-pass decays by exp(-150 t): after so long to one part in 1e16.

@@ -10,8 +10,6 @@ from typing import Any
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
 
-__all__ = ["Page"]
-
 HOST = "127.0.0.1"
 
 

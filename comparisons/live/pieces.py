@@ -8,10 +8,9 @@ from pathlib import Path
 
 from classic_ml.io import read_raw
 from classic_ml.records import LedgerEntry
-from classic_ml.reduction import Reduction, ReductionSettings, near_stall_shifts, reduce_record
+from classic_ml.reduction import Reduction, near_stall_shifts, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from surge_core.errors import InputError
-
-__all__ = ["Piece", "Pieces", "reduce_longest"]
 
 
 @dataclass

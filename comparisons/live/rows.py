@@ -9,8 +9,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-__all__ = ["TEXT_FORMAT", "Lines", "RowOrder", "Run"]
-
 END_LINE = b"#end"
 # So many rows that follow one another, but not on what was had: the record has a gap. Fewer may be
 # a row whose clock was garbled.

@@ -20,8 +20,6 @@ from comparisons.live.pieces import Pieces
 from comparisons.live.rows import Lines, RowOrder
 from surge_core.errors import InputError
 
-__all__ = ["Screen", "Session"]
-
 # The display moves this often, and no wait is longer.
 TICK_S = 0.1
 # No rows for so long, and the feed is shown as silent.

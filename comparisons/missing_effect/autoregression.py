@@ -8,8 +8,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["autoregression"]
-
 # An autoregression must win this much more than its parameters cost (in log-units of BIC).
 RELUCTANCE = 3.0
 # Fewer rows than this many a lag tell no colour.

@@ -13,8 +13,6 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.results import is_known_term
 from surge_core.errors import InputError
 
-__all__ = ["BaseTerms", "discovered_terms"]
-
 
 @dataclass(frozen=True)
 class BaseTerms:

@@ -20,8 +20,6 @@ from comparisons.missing_effect.structure import Structure
 from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray
 
-__all__ = ["Bench", "Candidate"]
-
 # A score that promises less than this many log-units is not fitted: no threshold is that low.
 LEAST_PROMISE = 6.0
 LEAST_PROMISE_SHARE = 0.01

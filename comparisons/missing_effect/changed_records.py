@@ -10,8 +10,6 @@ import numpy as np
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from surge_core.types import FloatArray
 
-__all__ = ["CHANGES", "Change", "changed"]
-
 # Mean and swing of three throttle settings, as shares of the range and of the swing recorded.
 SETTINGS = ((0.0, 1.0), (-0.12, 0.7), (0.12, 0.4))
 # Share of a setting over which the throttle moves to the next.

@@ -15,8 +15,6 @@ from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.uncertainty import linear_columns
 from surge_core.types import FloatArray
 
-__all__ = ["CoefficientGroups", "assembled_fit", "coefficient_groups", "refitted_on"]
-
 
 @dataclass(frozen=True)
 class CoefficientGroups:

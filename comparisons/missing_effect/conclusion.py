@@ -34,8 +34,6 @@ from comparisons.missing_effect.uncertainty import (
 from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 
-__all__ = ["concluded", "evidence_numbers", "missing_effect"]
-
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
 # Share of its range that counts as at its bound.

@@ -11,7 +11,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import concluded, missing_effect
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
@@ -19,7 +19,7 @@ from comparisons.missing_effect.loading import is_whole, load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
-from comparisons.missing_effect.results import Diagnosis, FittedParameter, Gap, MissingEffect
+from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import (
     Round,
     aliases,
@@ -32,17 +32,6 @@ from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
-
-__all__ = [
-    "Diagnosis",
-    "FittedParameter",
-    "Gap",
-    "LagDiagnosis",
-    "MissingEffect",
-    "diagnose",
-    "diagnose_data",
-    "polynomial_terms",
-]
 
 MOST_EFFECTS = 3
 # Errors with more memory than this are a drift that no term explains, and not a noise.

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from comparisons.missing_effect.results import CandidateRow, Diagnosis, MissingEffect
     from comparisons.missing_effect.runs import CheckRun
 
-__all__ = ["DIAGNOSE_SCHEMA", "diagnosis_document", "merged_test_rmse", "rmse_of"]
-
 DIAGNOSE_SCHEMA = "sindy-surge/diagnose/1"
 # Below this an error is given in thousandths of a unit that carries no prefix and no power itself.
 LEAST_PLAIN = 0.1

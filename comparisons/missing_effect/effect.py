@@ -13,8 +13,6 @@ from comparisons.missing_effect.ports import Ports
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Effect", "FittedParameter", "Parameter", "PortName"]
-
 PortName = Literal["input", "characteristic", "lag", "output", "noise"]
 PORT_ORDER: tuple[PortName, ...] = ("input", "characteristic", "lag", "output", "noise")
 

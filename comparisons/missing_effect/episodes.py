@@ -11,8 +11,6 @@ from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.metric import Metric
 from surge_core.types import FloatArray
 
-__all__ = ["errors_on", "without_episodes"]
-
 
 def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tuple[float, float]]:
     """Return the errors on all rows of a fit to the fitted ones.

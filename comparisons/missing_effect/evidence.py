@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from surge_core.types import FloatArray
 
-__all__ = ["Evidence", "Rows", "alias_rows", "evidence_of", "paired_z"]
-
 # Accepted only below this chance of so large a gain anywhere in the search.
 LARGEST_P = 1e-4
 LEAST_Z = 2.5

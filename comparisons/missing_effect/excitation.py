@@ -7,8 +7,6 @@ import numpy as np
 from comparisons.missing_effect.lag_data import LagData
 from surge_core.types import FloatArray
 
-__all__ = ["amplitude_of", "block_rows", "smooth_channel", "surge_frequency_hz"]
-
 # A block of errors holds at least one surge cycle, or it is not independent of the next.
 CYCLES_OF_BLOCK = 1.0
 LEAST_BLOCK_ROWS = 15

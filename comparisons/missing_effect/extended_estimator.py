@@ -18,8 +18,6 @@ from comparisons.missing_effect.extended_refit import refitted
 from comparisons.results import FitRows
 from surge_core.types import FloatArray
 
-__all__ = ["ExtendedLagFit", "extended_specs"]
-
 _CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 

@@ -36,14 +36,6 @@ from comparisons.results import is_known_term
 from surge_core.errors import InputError
 from surge_core.models import validated
 
-__all__ = [
-    "EXTENDED_SCHEMA",
-    "extended_from_json",
-    "is_extended_file",
-    "load_extended",
-    "save_extended",
-]
-
 EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
 EXTENDED_FORMAT = ModelFormat(
     EXTENDED_SCHEMA, "a file of a lag model with effects,", "sindy-surge diagnose --save"

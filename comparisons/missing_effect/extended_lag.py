@@ -37,8 +37,6 @@ from surge_core.lag import Hold
 from surge_core.rounding import bracketed, round_to_error, significant
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["AddedEffect", "ExtendedLag", "FrozenReferences", "curve_columns"]
-
 # Channels of a series that an effect may need; the others follow from φ.
 CHANNELS = ("T25_K", "Nc_frac")
 

@@ -15,18 +15,6 @@ from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.lag_data import LagData
 from surge_core.types import FloatArray, IntArray
 
-__all__ = [
-    "BENDING",
-    "MOST_EFFECTS",
-    "REVERSE",
-    "SHAPE",
-    "AddedEffect",
-    "FrozenReferences",
-    "finite",
-    "n_powers",
-    "rows_in",
-]
-
 # Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
 # Effects that are functions of φ alone, and so bend the characteristic.

@@ -35,8 +35,6 @@ from comparisons.missing_effect.uncertainty import (
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["refitted", "value_of"]
-
 CURVE_POINTS = 121
 
 

@@ -12,9 +12,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["FreeRun"]
-
-
 # The start of a lag of second order is read from so many of its short times, and rows at least.
 START_TIMES = 2.0
 LEAST_START_ROWS = 4

@@ -8,8 +8,6 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.diagnosis import diagnose
 from comparisons.missing_effect.whole_runs import N_TWINS
 
-__all__ = ["FirmNames"]
-
 
 class FirmNames:
     """Names effects as ``sindy-surge diagnose`` does, with its defaults."""

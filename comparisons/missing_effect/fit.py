@@ -12,8 +12,6 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Fit", "fit_structure", "slope_of_starts", "solved"]
-
 MOST_STEPS = 25
 # A step that would win less than this many log-units ends the search: beside a threshold of
 # evidence of ten it is nothing.

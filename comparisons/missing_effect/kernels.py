@@ -10,15 +10,6 @@ from numba import njit
 
 from surge_core.types import FloatArray, IntArray
 
-__all__ = [
-    "lag_pass",
-    "piecewise_cubics",
-    "second_order_pass",
-    "shifted",
-    "varying_lag_pass",
-    "whiten",
-]
-
 # No "nnan" and no "ninf": outliers must still come out as what they are.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 

@@ -16,10 +16,9 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.open_terms import with_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.uncertainty import without_amplitude
-from comparisons.missing_effect.where import Residuals, Where, where_of
+from comparisons.missing_effect.where import where_of
+from comparisons.missing_effect.where_rows import Residuals, Where
 from surge_core.types import FloatArray
-
-__all__ = ["Curve", "contributions", "lag_where", "steady_curves"]
 
 CURVE_POINTS = 241
 # After so many τ less than 1 % of how a run was started is left.

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["LATER", "OTHER", "TRAIN", "LagData", "Part"]
-
 Part = Literal["train", "later", "other"]
 TRAIN, LATER, OTHER = 0, 1, 2
 

@@ -32,8 +32,6 @@ from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.types import FloatArray
 
-__all__ = ["LagDiagnosis", "ReverseLoss"]
-
 
 @dataclass(frozen=True)
 class ReverseLoss:

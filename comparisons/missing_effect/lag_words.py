@@ -9,16 +9,6 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.quantities import chance, tau_ms
 from surge_core.rounding import significant
 
-__all__ = [
-    "ALIAS_REASONS",
-    "lag_ledger",
-    "limit_words",
-    "noise_words",
-    "shape_words",
-    "structure_words",
-    "tau_words",
-]
-
 _DRIFTS = ("facility_heating", "sensitivity_drift", "bias_drift", "speed_droop")
 _SLOPE = (
     "the slope of the characteristic hardly changes over the flow that was swept, so that both act "

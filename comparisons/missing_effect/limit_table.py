@@ -9,8 +9,6 @@ from typing import Any
 
 from surge_core.rounding import significant
 
-__all__ = ["CHECKED_AT", "Limit", "Limits", "size_words"]
-
 # The check plants this many times the limit.
 CHECKED_AT = 1.5
 # How an effect is computed, and nothing of the machine.

@@ -10,17 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.diagnosis import MOST_EFFECTS, LagDiagnosis, diagnose_data
+from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.limit_table import CHECKED_AT, Limit, Limits, size_words
 from comparisons.missing_effect.planting import Planter
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
-
-__all__ = ["Limit", "Limits", "planted_limits"]
 
 # A first search asks only whether the effect would be accepted against the model without it; it
 # steps by this factor until the limit lies between two sizes, then halves the step twice.

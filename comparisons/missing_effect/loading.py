@@ -21,8 +21,6 @@ from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FINE_STEPS", "is_whole", "load_data", "reading_of", "readings_of", "whole_data"]
-
 # Simulated at the sample step alone, the integration error of surge with harmonics reads as a
 # delay (research: distance 4 to 25 standard errors); at four steps to a sample none is left.
 FINE_STEPS = 4

@@ -11,8 +11,6 @@ from comparisons.missing_effect.kernels import flow_noise_whiten, whiten
 from comparisons.missing_effect.lag_data import LagData
 from surge_core.types import FloatArray
 
-__all__ = ["FlowNoise", "Metric", "projected"]
-
 Index = NDArray[np.int64]
 
 

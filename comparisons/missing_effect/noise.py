@@ -13,8 +13,6 @@ from comparisons.missing_effect.metric import FlowNoise, Metric
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 
-__all__ = ["NoiseModel", "noise_of"]
-
 MOST_LAGS = 4
 # Noise on φ is believed only when it beats every autoregression by this much.
 FLOW_RELUCTANCE = 5.0

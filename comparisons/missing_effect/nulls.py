@@ -14,8 +14,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["LEAST_P", "Leftover", "foretold"]
-
 # Both tests together (Fisher) speak below this chance.
 LEAST_P = 0.002
 # Errors this many times what is new in each of them come from a disturbance or from something

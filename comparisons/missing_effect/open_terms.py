@@ -15,8 +15,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.types import FloatArray
 
-__all__ = ["open_terms", "with_own_state", "with_state"]
-
 Function = Callable[[LagData, FloatArray, FloatArray, FloatArray], FloatArray]
 
 

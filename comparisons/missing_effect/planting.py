@@ -25,8 +25,6 @@ from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
 
-__all__ = ["NoiseSource", "Planter"]
-
 # A branch between the quartiles of φ is on either side for a good part of every cycle.
 BRANCH_QUANTILES = (0.25, 0.75)
 # A bump in the middle of the range of φ, of this width as a share of it, on so many intervals.

@@ -37,10 +37,8 @@ if TYPE_CHECKING:
 
     from comparisons.missing_effect.results import CandidateRow, Diagnosis
     from comparisons.missing_effect.runs import CheckRun
-    from comparisons.missing_effect.where import Where
+    from comparisons.missing_effect.where_rows import Where
     from surge_core.types import FloatArray
-
-__all__ = ["draw_diagnosis", "draw_errors"]
 
 BEFORE, AFTER, PALE = MARK, ACCENT, "#d3e5f1"
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))

@@ -14,8 +14,6 @@ from comparisons.results import evaluate_terms
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["Ports", "Response", "respond"]
-
 
 @dataclass(frozen=True)
 class Ports:

@@ -15,8 +15,6 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.ports import Ports, respond
 from surge_core.types import FloatArray
 
-__all__ = ["Probe", "Prober"]
-
 # The spectrum of an episode is laid this many times finer than its own lines.
 FINER = 4
 KEPT_STARTS = 3

@@ -9,22 +9,6 @@ from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from surge_core.rounding import round_to_error, significant
 
-__all__ = [
-    "PORT_WORDS",
-    "chance",
-    "equation_of",
-    "label_of",
-    "letters_of",
-    "model_equation",
-    "number_rows",
-    "numbers_of",
-    "open_words",
-    "plain_name",
-    "quantity",
-    "symbol",
-    "tau_ms",
-]
-
 _SYMBOLS = {
     "Delta": "Δ",
     "phi_lo": "φ_lo",

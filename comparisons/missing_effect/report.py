@@ -32,9 +32,7 @@ from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.results import Diagnosis
-    from comparisons.missing_effect.where import Where
-
-__all__ = ["diagnosis_parts", "diagnosis_report"]
+    from comparisons.missing_effect.where_rows import Where
 
 _PROSE = ("effect", "adds", "candidate")
 HOW = (

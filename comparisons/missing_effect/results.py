@@ -17,21 +17,6 @@ from comparisons.missing_effect.where_words import SYMBOLS
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import bracketed, significant
 
-__all__ = [
-    "CLEAR",
-    "CORRELATION",
-    "MUCH_CORRELATED",
-    "SIZE",
-    "Absent",
-    "CandidateRow",
-    "Diagnosis",
-    "FittedParameter",
-    "Gap",
-    "MissingEffect",
-    "ParameterRow",
-    "Untold",
-]
-
 # Under this name the evidence holds how many standard errors large an effect is as a whole.
 SIZE = "size_in_errors"
 # And under this one the largest correlation of two numbers of the effect, from which on their

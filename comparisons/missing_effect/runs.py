@@ -9,8 +9,6 @@ import numpy as np
 
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["CheckRun", "rms"]
-
 # A check whose error grew beyond this factor is worse.
 WORSE = 1.02
 

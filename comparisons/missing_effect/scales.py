@@ -8,8 +8,6 @@ from collections.abc import Iterable
 
 from surge_core.rounding import significant
 
-__all__ = ["Scale", "scale_of", "typical"]
-
 # Symbols that take a prefix; what stands behind a stroke or a dot stays as it is.
 PREFIXED = frozenset(
     ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")

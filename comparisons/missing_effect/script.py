@@ -20,8 +20,6 @@ if TYPE_CHECKING:
         Model, Experiment | Sequence[Experiment], Experiment | Sequence[Experiment]
     ]
 
-__all__ = ["MOST_EFFECTS_ASKED", "contents_of", "run_script", "steps_of"]
-
 # More than this is no missing effect any more but another model.
 MOST_EFFECTS_ASKED = 6
 DEFAULT_EFFECTS = 4

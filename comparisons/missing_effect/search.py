@@ -17,8 +17,6 @@ from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.probes import Probe
 from surge_core.types import FloatArray
 
-__all__ = ["Leftover", "Round", "leftover_of", "search_round"]
-
 # The chance below which what a model leaves is called structure, and not chance.
 LEFTOVER_P = 1e-4
 # A name is firm only while no test of what it leaves comes below this; tests of one term at a

@@ -26,8 +26,6 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
 
-__all__ = ["Distance", "Measurement", "Separation", "SetSeparation", "separating_measurements"]
-
 # Two models that leave less than this many standard deviations between them, all rows together,
 # are not separated: a gain of 12.5 log-units. Of strong effects the workflow asks for more.
 TOLD_APART = 5.0

@@ -12,9 +12,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports, Response, respond
 from surge_core.types import FloatArray
 
-__all__ = ["Structure"]
-
-
 # log τ nearer than this to a bound is at it: a hundredth of τ, less than any fit states.
 AT_END = 0.01
 

@@ -12,11 +12,9 @@ from comparisons.missing_effect.results import Diagnosis
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.where import where_of
-from comparisons.missing_effect.where import Where
+from comparisons.missing_effect.where_rows import Where
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
-
-__all__ = ["telling_run", "telling_stretch", "wheres_of"]
 
 # Periods and rows of a stretch that is drawn, and how many are compared.
 PERIODS, FEWEST_ROWS, MOST_ROWS = 6.0, 100, 1800

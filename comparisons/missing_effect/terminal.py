@@ -13,7 +13,7 @@ from comparisons.missing_effect.quantities import chance, open_words, plain_name
 from comparisons.missing_effect.results import CandidateRow, Diagnosis
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.telling import wheres_of
-from comparisons.missing_effect.where import Where
+from comparisons.missing_effect.where_rows import Where
 from comparisons.missing_effect.where_words import describe
 from comparisons.missing_effect.words import (
     confirm_words,
@@ -23,15 +23,6 @@ from comparisons.missing_effect.words import (
 )
 from surge_core.display import Grid
 from surge_core.rounding import bracketed, log_units, significant
-
-__all__ = [
-    "TOO_SHORT",
-    "candidate_grid",
-    "diagnosis_text",
-    "legend_of",
-    "on_records",
-    "timing_words",
-]
 
 WIDTH = 100
 # Of a long ranking the best are printed; --json holds all.

@@ -18,16 +18,6 @@ from surge_core.types import FloatArray
 if TYPE_CHECKING:
     from comparisons.missing_effect.candidates import Bench
 
-__all__ = [
-    "LEAST_SIZE",
-    "covariance_of",
-    "fitted_parameters",
-    "linear_columns",
-    "on_all_rows",
-    "size_in_errors",
-    "without_amplitude",
-]
-
 # Below this many standard errors an effect is not distinguished from none: its 95 % interval
 # holds zero.
 LEAST_SIZE = 2.0

@@ -34,8 +34,6 @@ from comparisons.missing_effect.where_spectrum import (
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Residuals", "Where", "where_of"]
-
 # Chance that anything at all is said to stand out of pure noise.
 FALSE_ALARM = 0.005
 FEWEST_SCORED = 40

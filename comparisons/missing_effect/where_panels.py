@@ -15,8 +15,6 @@ from comparisons.page.style import ACCENT, INK, MARK, MEASURED, QUIET, printable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_over_signal", "draw_spectrum"]
-
 BEFORE, AFTER = MARK, ACCENT
 SMALL = 8.5
 LONGEST_NAME = 30

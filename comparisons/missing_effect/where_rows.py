@@ -12,8 +12,6 @@ import numpy as np
 from comparisons.missing_effect.where_spectrum import Line
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["PANELS", "WAYS", "BandRow", "Cell", "Residuals", "SignalRow", "TimeRow", "Where"]
-
 PANELS = ("time", "frequency", "flow")
 # Which way the signal goes.
 WAYS = ("any", "falling", "rising")

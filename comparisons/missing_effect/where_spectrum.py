@@ -10,17 +10,6 @@ import numpy as np
 
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "Line",
-    "Power",
-    "floor_density",
-    "log_bands",
-    "narrow_line",
-    "power_bound",
-    "power_z",
-    "tapered_power",
-]
-
 # Sine tapers (Riedel and Sidorenko, IEEE Trans. Signal Process. 43 (1995), 188): three of them
 # use 86 % of the rows and leak as 1/f⁴, so that a slow drift stays in its band.
 TAPERS = 3

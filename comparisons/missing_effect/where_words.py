@@ -10,8 +10,6 @@ from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.where_rows import Cell, Where
 from surge_core.rounding import round_to_error, significant
 
-__all__ = ["SYMBOLS", "describe"]
-
 # A background this far above the stated floor is worth a word: the floor may be stated too low.
 HIGH_BACKGROUND = 1.1
 SYMBOLS = {"psi_p": "ψ'", "phi": "φ"}

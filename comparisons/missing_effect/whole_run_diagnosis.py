@@ -13,19 +13,13 @@ from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import concluded, missing_effect
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import (
-    SIZE,
-    Absent,
-    FittedParameter,
-    Gap,
-    Untold,
-)
+from comparisons.missing_effect.results import SIZE, Absent, Gap, Untold
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
@@ -44,8 +38,6 @@ from comparisons.missing_effect.whole_runs import (
     weighed,
 )
 from surge_core.types import FloatArray
-
-__all__ = ["diagnose_whole_runs"]
 
 NOTHING_LEFT = Leftover(0.0, 0, 1.0)
 # Beyond so many times what twins leave, model error rules the errors, and a name may be another's.

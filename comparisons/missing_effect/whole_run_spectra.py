@@ -11,8 +11,6 @@ from classic_ml.filters import period_average
 from classic_ml.record_reading import RecordReading
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["RippleLine", "averaged_noise", "ripple_line"]
-
 HIGHEST_LINE_HZ, HIGHEST_SHARE = 400.0, 0.4
 # A second pattern turns at least this much as fast as the first; below lie surge's own harmonics.
 SLOWEST_PATTERN = 0.4

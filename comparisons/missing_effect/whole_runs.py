@@ -31,22 +31,6 @@ from comparisons.missing_effect.uncertainty import linear_columns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "N_TWINS",
-    "SHAPED",
-    "Null",
-    "Nulls",
-    "Progress",
-    "cycles_left_out",
-    "fitted",
-    "nulls_of",
-    "number_of",
-    "plain_bench",
-    "rivals",
-    "rms_left",
-    "weighed",
-]
-
 N_TWINS, FEWEST_TWINS = 20, 6
 # Standard deviations of the null beyond which an effect is there: three, a dozen names paid for.
 # With two more one of a size that matters is seen but in one record of fifty.

@@ -32,16 +32,6 @@ from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.where_words import SYMBOLS
 from surge_core.rounding import significant
 
-__all__ = [
-    "confirm_words",
-    "effect_words",
-    "ledger_words",
-    "named",
-    "pooled_rms",
-    "verdict_sentence",
-    "verdict_words",
-]
-
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show.",
     "unexplained_structure": "Something is left in the errors that nothing tried here explains.",

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Block", "Bullets", "Cell", "Head", "Part", "Picture", "Summary", "Table", "Words"]
-
 # Letters of a word that a printed column holds, and of a cell that stays in one line.
 LONGEST_WORD, LONGEST_LINE = 26, 30
 # Columns beyond which a table is set smaller, and beyond which its numbers are broken in print.

@@ -13,8 +13,6 @@ from typing import Any
 
 from comparisons.page.blocks import Head, Part, Table
 
-__all__ = ["render_page"]
-
 PACKAGES = (
     "numpy",
     "scipy",

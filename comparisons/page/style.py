@@ -17,21 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "LineStyle",
-    "broken",
-    "coefficient_symbol",
-    "dress",
-    "estimator_styles",
-    "figure_to_data_uri",
-    "legend",
-    "legend_above",
-    "new_figure",
-    "plain_numbers",
-    "printable",
-    "robust_limits",
-]
-
 # 9 in wide: sharp on paper, and when a report enlarges it.
 DPI = 150
 WIDTH_IN = 9.0

@@ -11,16 +11,6 @@ from comparisons.page.blocks import Cell, Head, Table
 from comparisons.paper.instabilities import Instabilities
 from surge_core.display import Field, Sheet
 
-__all__ = [
-    "Check",
-    "Claim",
-    "Finding",
-    "claims_block",
-    "claims_json",
-    "claims_table",
-    "reading",
-]
-
 
 class Finding(NamedTuple):
     """What the check of a claim gave.

@@ -14,8 +14,6 @@ from comparisons.paper.claim import Check, Claim
 from comparisons.paper.instabilities import Instabilities
 from surge_core.errors import InputError
 
-__all__ = ["CHECKS", "check_claim", "check_claims"]
-
 # A function named claim_NN checks claim NN.
 CHECKS: dict[int, Check] = {
     int(name.removeprefix("claim_")): check

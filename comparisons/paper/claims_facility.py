@@ -9,6 +9,7 @@ from classic_ml.calibration import volts
 from classic_ml.cycles import find_cycles
 from classic_ml.filters import low_pass
 from classic_ml.flow import (
+    LBM_KG,
     calculated_mach,
     corrected_flow,
     mach_from_corrected_flow,
@@ -19,7 +20,7 @@ from classic_ml.planes import local_flows, plane_averages
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.paper.claim import Finding, reading
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
-from comparisons.paper.truth import LBM_KG, PSI_PA
+from comparisons.paper.truth import PSI_PA
 from comparisons.rig.gas import probe_pressures_pa
 from comparisons.rig.sensors import rake_temperature_k
 from surge_core.types import FloatArray

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
@@ -25,7 +26,7 @@ from comparisons.paper.instabilities import (
     reduce_run,
     run_case,
 )
-from comparisons.paper.truth import LBM_KG, THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
+from comparisons.paper.truth import THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
 from comparisons.results import FitRows, FitScore, FittedLag
 from comparisons.rig import CASES, simulate
 from comparisons.rig.drawn import SHAPES, shaped

@@ -9,9 +9,10 @@ import numpy as np
 from classic_ml.calibration import calibrate
 from classic_ml.cycles import find_cycles
 from classic_ml.filters import low_pass
+from classic_ml.flow import LBM_KG
 from comparisons.paper.claim import Finding
 from comparisons.paper.instabilities import Instabilities, InstabilityRun
-from comparisons.paper.truth import LBM_KG, PSI_PA, RANKINE_PER_K, THRESHOLD_LBM_S
+from comparisons.paper.truth import PSI_PA, RANKINE_PER_K, THRESHOLD_LBM_S
 
 MAIN, SECOND = "985", "985-second"
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from classic_ml.calibration import calibrate
 from classic_ml.filters import low_pass
+from classic_ml.flow import LBM_KG
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Picture
@@ -32,7 +33,6 @@ from comparisons.paper.instabilities import (
     InstabilityRun,
 )
 from comparisons.paper.truth import (
-    LBM_KG,
     PSI_PA,
     THRESHOLD_LBM_S,
     in_stall_psi,
@@ -50,8 +50,6 @@ from surge_core.types import FloatArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["draw_figures"]
 
 PHI = r"flow coefficient $\varphi$ [-]"
 TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"

@@ -13,7 +13,8 @@ import numpy as np
 from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.cycles import find_cycles
 from classic_ml.io import read_raw
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
@@ -22,22 +23,6 @@ from comparisons.results import FittedLag
 from comparisons.rig import CASES, RigCase, RigRun, SensorSettings, simulate, write_run
 from surge_core.errors import InputError
 from surge_core.types import BoolArray
-
-__all__ = [
-    "INSTABILITIES",
-    "PAPER_SETTINGS",
-    "PAPER_WINDOWS_S",
-    "STEADY_STALL",
-    "TRIAL_TIME_CONSTANT_S",
-    "WRONG_TIME_CONSTANT_S",
-    "Instabilities",
-    "InstabilityRun",
-    "fit_paper",
-    "reduce_run",
-    "run_case",
-    "run_instabilities",
-    "run_machines",
-]
 
 # "Four instabilities at three speeds"; and the low-speed rotating stall of Fig 20 and 23.
 INSTABILITIES = ("90", "95", "985", "985-second")

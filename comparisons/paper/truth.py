@@ -12,20 +12,6 @@ from classic_ml.flow import LBM_KG
 from comparisons.paper.instabilities import InstabilityRun
 from surge_core.types import FloatArray
 
-__all__ = [
-    "LBM_KG",
-    "PSI_PA",
-    "RANKINE_PER_K",
-    "THRESHOLD_LBM_S",
-    "in_stall_psi",
-    "in_stall_psi_p",
-    "phi_of_flow",
-    "pressure_ratio",
-    "stall_point",
-    "temperature_K",
-    "unstalled_psi_p",
-]
-
 PSI_PA = 6_894.757_293
 RANKINE_PER_K = 1.8
 # Paper, "Model Identification for 98.5% Corrected Speed": between in-stall and unstalled flow.

@@ -12,8 +12,6 @@ from surge_core.rounding import bracketed, round_like, round_to_error
 from surge_core.terms import pretty_term, terms_json
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["Answer", "Curve"]
-
 
 @dataclass(frozen=True)
 class Curve:

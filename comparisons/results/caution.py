@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["Caution", "texts_of"]
-
 # Of the findings of one step in one ledger so many are written out, the rest counted.
 FINDINGS_SHOWN = 3
 

@@ -19,8 +19,6 @@ from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
 
-__all__ = ["COLUMNS", "Comparison", "ComparisonRow", "EstimatorResult", "difference_cells"]
-
 ONE_SIDED_95 = 1.645
 # Heading of each column of the table, and what it says.
 COLUMNS = {

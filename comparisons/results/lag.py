@@ -20,8 +20,6 @@ from surge_core.segments import runs_of
 from surge_core.terms import terms_json
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FittedLag", "LagModel"]
-
 
 class LagModel(Protocol):
     """A fitted model that can be run over another record, whatever it holds beside the lag."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ESTIMATOR_LABELS", "SYMBOLS", "estimator_label"]
-
 SYMBOLS = {"psi_p": "ψ'", "psi": "ψ"}
 ESTIMATOR_LABELS = {
     "classic_ml": "whole-run output error",

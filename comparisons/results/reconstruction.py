@@ -19,8 +19,6 @@ from surge_core.display import Grid
 from surge_core.rounding import NOT_KNOWN, significant
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["RECONSTRUCTION_COLUMNS", "Reconstruction", "reconstruction_grids"]
-
 
 @dataclass(frozen=True)
 class Reconstruction:

@@ -9,8 +9,6 @@ from typing import Literal
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["FitRows", "FitScore", "Terms"]
-
 # Gives terms, of shape (n, q), at φ of shape (n,).
 Terms = Callable[[FloatArray], FloatArray]
 

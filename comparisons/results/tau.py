@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from surge_core.types import FloatArray
 
-__all__ = ["TauEstimate", "TauTrial", "Truth"]
-
 
 @dataclass(frozen=True)
 class TauEstimate:

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["evaluate_terms", "is_known_term"]
-
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A power is made by multiplying: of one with more digits a file would wait for ever.
 _EXPONENT = r"(\d{1,2})"

@@ -9,8 +9,6 @@ from math import pi, sqrt
 from comparisons.rig.gas import LBM_KG, T_REF_K
 from surge_core.errors import InputError
 
-__all__ = ["CASES", "RigCase", "find_case"]
-
 _T31_LIMIT_K = 635.0
 
 

@@ -17,15 +17,6 @@ from numpy.typing import NDArray
 from comparisons.rig.coefficient_plant import Plant, Points
 from surge_core.types import FloatArray
 
-__all__ = [
-    "EFFECTS",
-    "FORMS",
-    "OUTSIDE",
-    "PAIRS",
-    "Form",
-    "Parameters",
-]
-
 Parameters: TypeAlias = Mapping[str, float]
 Change: TypeAlias = "Callable[[Parameters, Points, FloatArray], FloatArray]"
 

@@ -17,9 +17,6 @@ from comparisons.rig.coefficient_signals import (
 )
 from surge_core.types import FloatArray
 
-__all__ = ["Plant", "Points", "draw_plant"]
-
-
 # What is left at the start of a record of the state it was begun from: exp(-12).
 LEAD_TIME_CONSTANTS = 12.0
 # Facility clock from one record's start to the next, in durations: a third of the clock is pause.

@@ -17,8 +17,6 @@ from comparisons.rig.coefficient_effects import FORMS, Parameters
 from comparisons.rig.coefficient_plant import LEAD_TIME_CONSTANTS, Plant, Points
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["Planted", "Steps", "backlash", "constant_lag", "lay_steps", "run_record", "varying_lag"]
-
 Planted = Mapping[str, Parameters]
 
 # Below this h/τ the recurrence of the weights cancels; the series has converged to 1e-17 there.

@@ -12,9 +12,6 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelSignal", "FlowSignal", "draw_flows", "slow_amplitude"]
-
-
 # The amplitude of surge is what varies more slowly than this share of its frequency ...
 _AMPLITUDE_BAND = 0.25
 # ... taken over so many cycles before and after the record that no edge is felt inside it.

@@ -16,22 +16,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_effects import FORMS
 from comparisons.rig.coefficient_plant import Plant, draw_plant
 from comparisons.rig.coefficient_runs import Planted, constant_lag, lay_steps, run_record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
-
-__all__ = [
-    "EFFECTS",
-    "NOISES",
-    "OUTSIDE",
-    "PAIRS",
-    "CoefficientRecord",
-    "CoefficientTest",
-    "Noise",
-    "simulate_test",
-]
 
 Noise = Literal["white", "ar1", "t3", "outliers", "phi1", "phi3"]
 NOISES: tuple[Noise, ...] = get_args(Noise)

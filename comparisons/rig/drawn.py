@@ -18,8 +18,6 @@ from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.sensors import SensorSettings
 from comparisons.rig.simulation import RigRun, simulate, write_run
 
-__all__ = ["SHAPES", "SPEEDS", "draw_record", "draw_run", "shaped"]
-
 # With fewer reversals of the flow a machine does not surge, and another is drawn.
 FEWEST_REVERSALS = 8
 RATES_HZ = (500.0, 1000.0, 1000.0, 2000.0)

@@ -11,21 +11,6 @@ from numpy.typing import ArrayLike
 
 from surge_core.types import FloatArray
 
-__all__ = [
-    "CP_J_KG_K",
-    "FLOW_CONSTANT_KG_S_M2",
-    "GAMMA",
-    "GAS_CONSTANT_J_KG_K",
-    "LBM_KG",
-    "PSI_PA",
-    "P_REF_PA",
-    "T_REF_K",
-    "corrected_flow_kg_s",
-    "mach_from_corrected_flow",
-    "probe_pressures_pa",
-]
-
-
 GAMMA = 1.4
 GAS_CONSTANT_J_KG_K = 287.05
 # c_p = gamma R / (gamma - 1); the paper's 0.240 BTU/lbm/°R is the same number.

@@ -17,22 +17,6 @@ from typing import Any
 
 from surge_core.errors import InputError
 
-__all__ = [
-    "BRANCH_PHIS",
-    "BUMP_PHI",
-    "BUMP_WIDTH_PHI",
-    "HEAT_SOAK_S",
-    "HIDEABLE",
-    "LOW_FLOW_PHI",
-    "SECOND_CELL_ROTOR_FRAC",
-    "SETTLED_SPEED_FRAC",
-    "UNTOUCHED",
-    "WAKE_TIME_S",
-    "Alteration",
-    "Hideable",
-    "hide_effect",
-]
-
 # Thin casings and blade tips take up the heat of the gas within a few seconds. With 2 s a share of
 # 0.18 takes the deep reversals off the 90 % case, with 3 s it does not.
 HEAT_SOAK_S = 3.0

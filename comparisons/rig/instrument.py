@@ -25,16 +25,6 @@ from comparisons.rig.sensors import (
 )
 from surge_core.types import FloatArray
 
-__all__ = [
-    "NEAR_STALL_S",
-    "RAW_RATE_HZ",
-    "Instrumented",
-    "corrected_plane_flow_kg_s",
-    "instrument",
-    "read_near_stall",
-]
-
-
 RAW_RATE_HZ = 1_000.0
 # Facility readings average this long before the throttle closes, as in the independent record.
 NEAR_STALL_S = (0.0, 0.14)

@@ -34,9 +34,6 @@ from comparisons.rig.hidden import UNTOUCHED, Alteration
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["PLANT_RATE_HZ", "PlantRun", "run_plant"]
-
-
 PLANT_RATE_HZ = 10_000.0
 # Exit flow below which the storage correction of T31 fades; 3 kg/s is phi of about 0.03.
 _MIXING_KG_S = 3.0

@@ -34,18 +34,6 @@ from comparisons.rig.hidden import (
 )
 from surge_core.types import FloatArray
 
-__all__ = [
-    "ALTERED_FIELDS",
-    "CASE_FIELDS",
-    "OUTPUTS",
-    "STATES",
-    "Constants",
-    "integrate",
-    "orifice_flow",
-    "unstalled_psi_p",
-]
-
-
 # What the equilibrium of a case sizes, and what is made of its numbers.
 SIZED_FIELDS = (
     "loss", "supply_flow", "supply_pressure", "recirculation_heat", "throttle", "exhaust",

@@ -10,19 +10,6 @@ from scipy.signal import bilinear, butter, lfilter, lfilter_zi, sosfilt, sosfilt
 
 from surge_core.types import FloatArray
 
-__all__ = [
-    "ADC_BITS",
-    "ADC_HIGH_V",
-    "ADC_LOW_V",
-    "SensorSettings",
-    "anti_alias",
-    "counts_from_volts",
-    "lag",
-    "rake_temperature_k",
-    "tube",
-]
-
-
 # The paper names 12 bits; the range is that of the independent record.
 ADC_BITS = 12
 ADC_LOW_V = -5.0

@@ -27,8 +27,6 @@ from surge_core.errors import InputError
 from surge_core.record_folder import write_record_folder
 from surge_core.types import FloatArray
 
-__all__ = ["RigRun", "simulate", "write_run"]
-
 # The near-stall reading ends at 0.14 s; a record must hold it and a little more. The whole run is
 # held in memory at 10 kHz, 2 MB a second.
 _SHORTEST_S = 0.2

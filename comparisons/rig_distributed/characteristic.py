@@ -31,8 +31,6 @@ import numpy as np
 from comparisons.rig_distributed.machine import Machine
 from surge_core.types import FloatArray
 
-__all__ = ["cell_amplitude", "growth_per_s", "steady_psi_p"]
-
 
 def cell_amplitude(machine: Machine, phi: FloatArray) -> FloatArray:
     """Return the amplitude of the cell in equilibrium, 2 W √(1 − y²), zero outside of stall."""

@@ -34,8 +34,6 @@ from comparisons.rig_distributed.flux import G1, POWER, fill_fluxes, total_state
 from comparisons.rig_distributed.gas import CP
 from surge_core.types import FloatArray
 
-__all__ = ["OUTPUTS", "Constants", "integrate"]
-
 _named_tuple: Any = namedtuple
 Constants = _named_tuple(
     "Constants",

@@ -15,8 +15,6 @@ from numba import njit
 from comparisons.rig_distributed.gas import CP, GAMMA, R
 from surge_core.types import FloatArray
 
-__all__ = ["G1", "POWER", "fill_fluxes", "total_state"]
-
 G1 = GAMMA - 1.0
 POWER = GAMMA / G1
 _Three: TypeAlias = tuple[float, float, float]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["CP", "GAMMA", "R"]
-
 GAMMA = 1.4
 # J/(kg K).
 R = 287.05

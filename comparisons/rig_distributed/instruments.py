@@ -14,8 +14,6 @@ from scipy import signal
 from comparisons.rig_distributed.plant import PLANT_HZ
 from surge_core.types import FloatArray
 
-__all__ = ["Instruments", "codes", "draw_instruments", "thermocouple", "transducer_pa"]
-
 # Spans of transducers that are made, in Pa: 35 kPa (5 psid) and upwards.
 SPANS_PA = (35e3, 70e3, 100e3, 170e3, 350e3, 700e3, 1.7e6)
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from comparisons.rig_distributed.gas import CP
 
-__all__ = ["Machine", "draw"]
-
 
 @dataclass(frozen=True)
 class Machine:

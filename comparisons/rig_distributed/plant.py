@@ -14,8 +14,6 @@ from comparisons.rig_distributed.machine import Machine
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["PLANT_HZ", "GasPath", "PlantRun", "constants", "lay_out", "run_plant", "steady_flow"]
-
 PLANT_HZ = 10_000.0
 CELL_M = 0.1
 SUBSTEPS = 2

@@ -26,8 +26,6 @@ from comparisons.rig_distributed.machine import Machine
 from comparisons.rig_distributed.plant import PLANT_HZ, PlantRun
 from surge_core.types import FloatArray
 
-__all__ = ["EXIT_SHARE", "hole_pressures_pa", "local_flow", "mach_of_velocity"]
-
 # Share of cell and shift that the gas at plane 31 still has.
 EXIT_SHARE = 0.1
 # Angle of the second rake behind the first.

@@ -19,8 +19,6 @@ from comparisons.rig_distributed.plant import PLANT_HZ, PlantRun
 from comparisons.rig_distributed.probes import hole_pressures_pa, local_flow
 from surge_core.types import FloatArray
 
-__all__ = ["NEAR_STALL_S", "Channels", "near_stall_reading", "read_rakes"]
-
 NEAR_STALL_S = 0.14
 # Samples of a zero and of a calibrate reading.
 _READINGS = 500

@@ -19,8 +19,6 @@ from surge_core.errors import InputError
 from surge_core.record_folder import write_record_folder
 from surge_core.types import FloatArray
 
-__all__ = ["DistributedRun", "draw_record", "draw_run", "simulate", "write_run"]
-
 DURATION_S = 4.0
 _SHORTEST_S, _LONGEST_S = 0.2, 60.0
 # A drawn machine counts as one that surges with so many reversals and recoveries in 4 s.

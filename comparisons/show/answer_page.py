@@ -18,8 +18,6 @@ from comparisons.page.style import (
 from comparisons.results import SYMBOLS, Answer, Curve, Truth
 from surge_core.rounding import round_to_error
 
-__all__ = ["answer_part", "curve_picture"]
-
 # So small a figure stays legible at the width of a phone.
 WIDTH_IN, HEIGHT_IN = 4.8, 4.1
 POINTS_DRAWN = 2000

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from sindy_surge.discover.equations import Rival, Term
     from surge_core.types import FloatArray
 
-__all__ = ["DISCOVER_SCHEMA", "discover_document", "discover_report", "discover_text"]
-
 DISCOVER_SCHEMA = "sindy-surge/discover/1"
 RIVALS_SHOWN = 5
 DISCOVERED = "#1f5fa8"

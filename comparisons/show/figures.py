@@ -14,8 +14,6 @@ from comparisons.page.blocks import Cell, Part, Table
 from comparisons.results import Curve
 from surge_core.files import replace_whole, to_strict_json, write_whole
 
-__all__ = ["write_curve", "write_figures"]
-
 # Widths of one and of two columns of a paper in inches; a picture up to the limit takes one.
 COLUMN_IN, PAGE_IN, NARROW_IN = 3.5, 7.16, 5.0
 KINDS = (".svg", ".pdf")

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
         TestMatch,
     )
 
-__all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
-
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.

@@ -11,8 +11,6 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results import Comparison, EstimatorResult
 from surge_core.terms import terms_json
 
-__all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document"]
-
 COMPARE_SCHEMA = "sindy-surge/compare/1"
 
 

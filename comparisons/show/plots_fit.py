@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from comparisons.results import Reconstruction
 
-__all__ = ["NAMES", "characteristics", "reconstruction", "shade", "validation"]
-
 NAMES = {"psi_p": "pressure coefficient ψ'", "psi": "work coefficient ψ"}
 # Standard errors that a band takes.
 BAND = 2.0

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from classic_ml.reduction import Reduction
 
-__all__ = ["cycle_words", "operating_points", "span", "surge_cycles"]
-
 DIGITS = 3
 IMMERSIONS = {"tip": "Wc25_tip_kg_s", "hub": "Wc25_hub_kg_s"}
 

@@ -21,8 +21,6 @@ from comparisons.show.plots_fit import NAMES, shade
 from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
-__all__ = ["errors_in_time"]
-
 
 def errors_in_time(comparison: Comparison) -> Picture:
     """Draw what the free run of each estimator leaves, over time, all to one scale.

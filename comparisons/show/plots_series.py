@@ -20,8 +20,6 @@ from comparisons.show.plots_record import span
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["loops"]
-
 # Of a longer record more would only blacken the paper.
 LOOP_ROWS = 20_000
 

@@ -26,8 +26,6 @@ from surge_core.rounding import significant
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["tau_trial"]
-
 BAND = 2.0
 HEADROOM = 0.08
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from classic_ml.records import LedgerEntry
     from classic_ml.reduction import Reduction
 
-__all__ = ["ReportSection", "render_report", "report_pages"]
-
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
 

@@ -19,13 +19,6 @@ from comparisons.results import (
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import significant
 
-__all__ = [
-    "checks_table",
-    "ledger_tables",
-    "summary_table",
-    "validation_tables",
-]
-
 # Columns of a ledger that hold sentences.
 LEDGER_PROSE = ("did", "parameters", "left out", "flags")
 

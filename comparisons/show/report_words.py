@@ -14,13 +14,6 @@ from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Tru
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import significant
 
-__all__ = [
-    "cautions_list",
-    "summary_list",
-    "tau_words",
-    "truth_list",
-]
-
 # Which τ to quote stands above all.
 SAID_ELSEWHERE = ("quote_tau", "tau_biased")
 

@@ -16,8 +16,6 @@ from comparisons.show.structure_output import structure_document
 from comparisons.show.structure_report import structure_parts
 from comparisons.show.work_output import work_document, work_table
 
-__all__ = ["RUN_SCHEMA", "run_document", "run_pages"]
-
 RUN_SCHEMA = "sindy-surge/run/1"
 
 

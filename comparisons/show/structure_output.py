@@ -15,14 +15,6 @@ from surge_core.terms import pretty_term, terms_json
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
 
-__all__ = [
-    "STRUCTURE_SCHEMA",
-    "left_out_words",
-    "opening_words",
-    "structure_document",
-    "structure_text",
-]
-
 STRUCTURE_SCHEMA = "sindy-surge/structure/1"
 WIDTH = 100
 # One in a hundred resampled records is no evidence for a term.

@@ -21,8 +21,6 @@ from comparisons.page.style import (
 from comparisons.show.structure_output import left_out_words, opening_words
 from surge_core.terms import pretty_term
 
-__all__ = ["structure_parts", "structure_report"]
-
 POINTS_DRAWN = 4000
 BAND = 1.96
 

@@ -15,8 +15,6 @@ from comparisons.results import (
 )
 from surge_core.display import Grid
 
-__all__ = ["comparison_table", "reconstruction_table"]
-
 WIDTH = 110
 
 

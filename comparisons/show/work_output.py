@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from classic_ml.work.coefficient import WorkCharacteristic
     from surge_core.types import FloatArray
 
-__all__ = ["WORK_SCHEMA", "work_document", "work_table"]
-
 WORK_SCHEMA = "sindy-surge/work/1"
 
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["COUNTS", "Ranks", "bench_rows", "bench_spec", "draw_ranks", "ranks_of"]
-
 # A τ is right within 2 ms or 10 %, grossly wrong beyond 30 % with an interval that misses, and a
 # curve right within 0.15, its rms error over the φ that was scored.
 WITHIN_S, WITHIN_SHARE, GROSS_SHARE, CURVE_WITHIN = 2e-3, 0.10, 0.30, 0.15

@@ -26,15 +26,6 @@ from surge_core.types import FloatArray, IntArray
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "COLUMNS",
-    "GroupComparison",
-    "MethodRow",
-    "compare_methods",
-    "compare_scores",
-    "jackknife",
-]
-
 # States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
 FAILED, ENDED_WELL = "failed", ("ok", "converged")
 # Below so many records neither an error nor its normal approximation is to be relied on.

@@ -12,8 +12,6 @@ import numpy as np
 
 from comparisons.study.spec import Method, Range, Scalar, StudySpec
 
-__all__ = ["Cell", "Point", "cells_of", "points_of", "tasks_of"]
-
 # Cells of one task: enough to share a record among many estimators, few enough that little is
 # unfinished at any time.
 CELLS_A_TASK = 24

@@ -12,8 +12,6 @@ from comparisons.harness.methods import method_spec, naming_of
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 
-__all__ = ["scores_of"]
-
 CURVE_POINTS = 50
 NAN = float("nan")
 

@@ -17,8 +17,6 @@ from comparisons.study.spec import StudySpec
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["render_study_report"]
-
 # Groups of one score and reasons that are shown; the table has all.
 MOST_GROUPS, MOST_REASONS = 24, 40
 READING = (

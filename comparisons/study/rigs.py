@@ -17,8 +17,6 @@ from pathlib import Path
 
 from surge_core.errors import InputError
 
-__all__ = ["draw_of", "rig_names"]
-
 ENTRY_POINTS = "sindy_surge.rigs"
 _OWN = {
     "lumped": "comparisons.rig.drawn:draw_record",

@@ -27,8 +27,6 @@ from surge_core.threads import one_thread
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["FINISHED", "RESULTS", "check_study", "run_study", "run_task"]
-
 RESULTS, FINISHED = "results.parquet", "cells.jsonl"
 # Workers of a cluster to reckon with: their number may change while it works.
 CLUSTER = 16

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
-__all__ = ["NUMBERS", "SCORES", "Better", "Score", "loss_label"]
-
 Better = Literal["smaller", "larger", "zero", "target"]
 
 

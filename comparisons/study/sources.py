@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from classic_ml.description import TestDescription
     from classic_ml.records import Record
 
-__all__ = ["FIT_DEFAULTS", "Made", "make_record", "prepare"]
-
 DEFAULT_DURATION_S = 20.0
 DEFAULT_PERIOD_S = 0.01
 DEFAULT_PERCENT = 1.0
@@ -96,7 +94,8 @@ def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
         Its reduction settings.
     """
     if made.raw is not None:
-        from classic_ml.reduction import ReductionSettings, reduce_record
+        from classic_ml.reduction import reduce_record
+        from classic_ml.reduction_settings import ReductionSettings
 
         settings = ReductionSettings(**point.table("reduction"))  # type: ignore[arg-type]
         return (reduce_record(*made.raw, settings).series,)

@@ -22,12 +22,11 @@ from pydantic import (
 
 from classic_ml.reduction_settings import ReductionSettings
 from comparisons.rig import CASES, HIDEABLE
-from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE
+from comparisons.rig.coefficient_tests import NOISES
 from comparisons.study.scores import SCORES
 from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
-
-__all__ = ["BUILT_IN", "Method", "Random", "Range", "Scalar", "StudySpec", "read_spec", "spec_from"]
 
 BUILT_IN = ("classic_ml", "sindy", "paper", "classic_ml_arx", "classic_ml_output_error")
 MOST_CELLS = 1_000_000

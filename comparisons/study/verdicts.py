@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 
 from scipy.stats import t as student_t
 
-__all__ = ["Paired", "verdicts_of"]
-
 LEVEL = 0.05
 
 

@@ -11,8 +11,6 @@ from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
 from surge_core.record_folder import toml_text
 
-__all__ = ["Facility", "facility_toml", "read_facility"]
-
 Positive: TypeAlias = Annotated[float, Field(gt=0.0, description="a number above 0")]
 NotNegative: TypeAlias = Annotated[float, Field(ge=0.0, description="a number from 0 on")]
 

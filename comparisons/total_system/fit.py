@@ -24,8 +24,6 @@ from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSyste
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["fit_total_system"]
-
 _FITTED = [COLUMNS.index(name) for name in OUTPUTS]
 # Of β, of order (1, 3, 50); the logarithm of τ is its own scale.
 _SCALES = np.array([1.0, 1.0, 10.0, 1.0])

@@ -16,8 +16,6 @@ from surge_core.rounding import round_to_error, significant
 from surge_core.terms import terms_json
 from surge_core.types import FloatArray
 
-__all__ = ["ALIGNED", "MULTIPLE", "TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
-
 # Channels that are fitted, and their units.
 OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
 MULTIPLE, ALIGNED = "multiple-shooting", "aligned"

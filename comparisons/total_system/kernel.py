@@ -15,9 +15,6 @@ from numba import njit
 from comparisons.total_system.facility import Facility
 from surge_core.types import FloatArray
 
-__all__ = ["Constants", "integrate", "latches", "observe", "orifice"]
-
-
 # Positions in the state vector and, behind it, in an output row; `model` names them.
 W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(11)
 P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(11, 17)

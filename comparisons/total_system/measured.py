@@ -11,13 +11,12 @@ from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.records import Record
-from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.reduction import reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.total_system import kernel
 from comparisons.total_system.model import TotalSystemModel
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
-
-__all__ = ["Measured", "measured_signals", "observed_states"]
 
 # One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
 SMOOTHING_S = 1.0 / 82.5

@@ -24,9 +24,6 @@ from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, integrat
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["COLUMNS", "STATES", "STEPS_PER_SECOND", "TotalSystemModel"]
-
-
 # In the order of the compiled loops.
 STATES = ("W25", "psi_p_lagged", "psi", "P31", "T31", "P_in", "T_in", "P_ex", "T_ex", "T_coil",
           "T25")  # fmt: skip

@@ -8,8 +8,6 @@ from comparisons.rig import CASES
 from comparisons.rig.cases import find_case
 from comparisons.total_system.facility import Facility
 
-__all__ = ["facility_of_case", "rig_case_of_test"]
-
 
 def facility_of_case(name: str) -> Facility:
     """Return the facility of a case of the simulated rig.

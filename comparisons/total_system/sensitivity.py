@@ -10,7 +10,8 @@ import numpy as np
 
 from classic_ml.description import TestDescription
 from classic_ml.records import Record
-from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.reduction import reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.rows import stack_rows
 from comparisons.total_system.fit import fit_total_system
@@ -18,8 +19,6 @@ from comparisons.total_system.fitted import ALIGNED, MULTIPLE, TotalSystemSettin
 from comparisons.total_system.measured import measured_signals
 from surge_core.display import Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_to_error, significant
-
-__all__ = ["N_ROWS", "sensitivity_rows", "sensitivity_table"]
 
 COMPONENT = "component"
 METHODS = (COMPONENT, MULTIPLE, ALIGNED)

@@ -24,8 +24,6 @@ from sindy_surge.discover.features import Features
 from sindy_surge.discover.trajectories import Trajectories
 from surge_core.types import BoolArray, FloatArray, IndexArray
 
-__all__ = ["Collocation", "Fit", "Linear"]
-
 # A step that moves the coefficients by less than this share of a standard error ends the search.
 _STEP_SIGMA = 1e-2
 _MOST_STEPS = 15

@@ -19,8 +19,6 @@ from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IndexArray
 from surge_core.validation import one_of
 
-__all__ = ["SparseDynamics"]
-
 # Rows of the segments on which the full library is fitted, and on which supports are compared.
 # Short first: there a library of wrong terms still follows the data.
 _FULL_ROWS = (30, 60)

@@ -14,8 +14,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Features"]
-
 # Central differences: the cube root of the rounding error, as a share of each state's size.
 _STEP = 6e-6
 

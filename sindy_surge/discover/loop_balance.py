@@ -13,8 +13,6 @@ import numpy as np
 
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FACTORS", "Balance", "best_terms", "fit_balance", "sandwich"]
-
 FACTORS = ("phi", "psi_p", "plenum", "sqrt(plenum)")
 # Linear and quadratic terms of the three states, and the flow through a throttle.
 _EXPONENTS = np.array(

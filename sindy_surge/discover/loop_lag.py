@@ -17,8 +17,6 @@ from sindy_surge.discover.loop_signals import smoothed
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["Branch", "LagFit", "LagRows", "fit_one_branch", "fit_two_branches"]
-
 # Degree of the richest single branch, of a branch while the levels are searched, and the largest
 # power among the candidate terms of a branch.
 _RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5

@@ -12,8 +12,6 @@ from sindy_surge.segments import Segments
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Cycles", "hidden_plenum", "measure_cycles", "smoothed"]
-
 _WIDTHS = (1, 5, 7, 9, 11, 13, 15, 17, 21, 25, 31, 37, 45)
 _ORDER = 3
 # The range of φ without spikes; a cycle counts once φ has been below the lower and above the

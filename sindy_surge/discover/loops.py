@@ -24,8 +24,6 @@ from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IntArray
 from surge_core.validation import positive
 
-__all__ = ["STATES", "SurgeLoop", "discover_loop"]
-
 STATES = ("phi", "psi_p", "plenum")
 # Two branches must leave less than this share of the variance that the richest single one leaves.
 _SHARE = 0.7

@@ -18,8 +18,6 @@ from sindy_surge.discover.collocation import Collocation, Fit, Linear
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["Search", "Tried", "proposed_by"]
-
 Support = tuple[int, ...]
 
 # Neighbours that the regression about the fit promises most of, fitted in each round.

@@ -7,8 +7,6 @@ import numpy as np
 from sindy_surge.discover.trajectories import Trajectories
 from surge_core.types import FloatArray
 
-__all__ = ["difference_noise", "smoothed"]
-
 
 def difference_noise(data: Trajectories) -> FloatArray:
     """Return the noise that sixth differences show, which a sampled smooth signal hardly has."""

@@ -11,8 +11,6 @@ import numpy as np
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IndexArray
 
-__all__ = ["Trajectories"]
-
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
 

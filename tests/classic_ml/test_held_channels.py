@@ -10,9 +10,10 @@ import pytest
 from clean_records import CLEAN, clean_record, with_channels
 
 from classic_ml.faults.held import check_held, held_rows
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 QUICK = ("985/1", "75-stall/1", "made/1/1")
 

@@ -15,8 +15,9 @@ from classic_ml.faults.findings import CLIPPED
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.search import inspect_readings
 from classic_ml.io import TestDescription, read_raw
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
 from comparisons.rig import SensorSettings, simulate, write_run
+from surge_core.types import FloatArray
 
 PSI = 6894.757
 COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")

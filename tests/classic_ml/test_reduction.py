@@ -11,7 +11,8 @@ from raw_data import INERTIA_PER_M, U_M_S, RawTest, make_test
 
 from classic_ml.filters import low_pass
 from classic_ml.flow import LBM_KG
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from surge_core.errors import InputError
 
 

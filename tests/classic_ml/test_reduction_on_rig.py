@@ -10,7 +10,8 @@ from rig_records import rig_record, rig_run, through_files
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.faults.search import inspect_readings
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.rig import SensorSettings
 
 

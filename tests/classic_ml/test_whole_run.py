@@ -12,11 +12,8 @@ from classic_ml.free_run import extend_while_settled, free_run_rows, near
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import cell_period_s, hub_tip_stall
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_run import (
-    fit_whole_runs,
-    has_whole_run,
-    whole_run_rows,
-)
+from classic_ml.whole_run import fit_whole_runs
+from classic_ml.whole_run_rows import has_whole_run, whole_run_rows
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag

@@ -14,7 +14,8 @@ from rig_records import rig_record, rig_run
 from classic_ml.flow import corrected_flow
 from classic_ml.io import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.work.balance import (
     EXIT_WEIGHT,
     MIXING_PHI,

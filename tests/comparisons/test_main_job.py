@@ -12,7 +12,8 @@ from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml import LagRegressor
 from classic_ml.io import read_raw
-from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.reduction import reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.whole_record_fit import N_TWINS
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import EstimatorSpec, default_estimators

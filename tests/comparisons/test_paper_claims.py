@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from paper_runs import paper_runs, remembered_case
 
 from classic_ml.flow import LBM_KG
-from classic_ml.reduction import ReductionSettings
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.cli import main
 from comparisons.paper.claims import CHECKS, check_claim, check_claims
 from comparisons.paper.instabilities import (

@@ -16,8 +16,9 @@ from raw_data import make_test
 from rig_records import rig_record
 
 from classic_ml.io import TestDescription, read_raw
-from classic_ml.records import Channel, FloatArray, Record
+from classic_ml.records import Channel, Record
 from comparisons.rig import CASES
+from surge_core.types import FloatArray
 
 __all__ = ["CLEAN", "INDEPENDENT", "SURGES", "clean_record", "rows_of", "with_channels"]
 

@@ -11,7 +11,8 @@ from typing import Any
 
 from classic_ml.io import TestDescription, read_raw, read_test_description
 from classic_ml.io.series import write_series
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from comparisons.live.feeds import Arrival, Closed, Feed, Opened
 from comparisons.live.monitor import Monitor
 from comparisons.live.pieces import Piece, Pieces, reduce_longest

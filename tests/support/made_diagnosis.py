@@ -11,7 +11,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import missing_effect
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.fit import Fit
@@ -21,12 +21,7 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
-from comparisons.missing_effect.results import (
-    FittedParameter,
-    Gap,
-    MissingEffect,
-    ParameterRow,
-)
+from comparisons.missing_effect.results import Gap, MissingEffect, ParameterRow
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.structure import Structure
 

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.evidence import Evidence
-from comparisons.missing_effect.results import (
-    FittedParameter,
-    MissingEffect,
-    ParameterRow,
-)
+from comparisons.missing_effect.results import MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
@@ -26,7 +24,6 @@ from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.score import Probe
-from comparisons.missing_effect.systems.search import Candidate, Round
 from comparisons.missing_effect.systems.structure import Structure
 
 PERIOD_S = 0.02

@@ -14,8 +14,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.types import FloatArray
 
-__all__ = ["CHARACTERISTIC_EFFECTS"]
-
 HEATING_TIMES = (0.03, 0.1, 0.3, 0.7, 2.0)
 BRANCH_QUANTILES = (0.06, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.94)
 # Intervals between the knots of the free characteristic over the range of φ; how many is set by

@@ -12,8 +12,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.types import FloatArray
 
-__all__ = ["INPUT_EFFECTS", "LAG_EFFECTS"]
-
 THRESHOLD_QUANTILES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 # τ is never let fall below this share of itself, nor below zero.
 LEAST_TAU_SHARE = 0.15

@@ -11,8 +11,6 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.types import FloatArray
 
-__all__ = ["FLOW_NOISE", "OUTPUT_EFFECTS", "stall_episodes"]
-
 GATE_QUANTILES = (0.3, 0.4, 0.5, 0.6, 0.7, 1.0)
 # The ripple is searched up to this share of the sample rate.
 HIGHEST_SHARE = 0.4

@@ -19,8 +19,6 @@ from comparisons.missing_effect.systems.simulate import transitions
 from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Bench", "base_bench", "growth_of", "tolerance_for", "whitened_fit"]
-
 # Steps in a whitening metric, whose valleys are narrow and bent.
 MOST_WHITENED = 20
 INTERPOLATIONS = ("cubic", "linear", "band", "held")

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from surge_core.errors import InputError
 
-__all__ = ["BENCHMARK_FOLDER", "benchmark_file"]
-
 # Environment variable that names a folder with the files, below it or in folders of it.
 BENCHMARK_FOLDER = "SINDY_SURGE_BENCHMARKS"
 

@@ -14,8 +14,6 @@ from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["black_box_outputs"]
-
 # Points a sample at which a lag or a play follows its signal.
 FINER = 4
 # What a simulation that fails for some parameters may raise.

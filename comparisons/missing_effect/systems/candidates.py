@@ -17,8 +17,6 @@ from comparisons.missing_effect.systems.score import Probe
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import FloatArray
 
-__all__ = ["UNNAMED_GAP", "Candidate", "Round"]
-
 # Effects that are nothing at the lower bound of their first number.
 VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # An open term takes the place of a name only when it is better by this much.

@@ -9,8 +9,6 @@ from comparisons.missing_effect.systems.places import Neutral, Number, SystemEff
 from comparisons.missing_effect.systems.roles import angles, displacements, rates
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 
-__all__ = ["SYSTEM_CATALOGUE", "find_system_effect"]
-
 
 # Amplitudes are in units of what the equation, or the reading, has already.
 def _amplitude(symbol: str) -> Number:

@@ -17,35 +17,6 @@ from comparisons.missing_effect.systems.roles import (
 )
 from surge_core.types import FloatArray
 
-__all__ = [
-    "THRESHOLDS",
-    "Places",
-    "against_storing",
-    "alone",
-    "always",
-    "at_inputs",
-    "at_outputs",
-    "at_parameters",
-    "at_spills",
-    "at_states",
-    "blind_to_sign",
-    "both_signs",
-    "every_signal",
-    "everywhere",
-    "fixed",
-    "from_gap",
-    "from_lower_end",
-    "from_quantiles",
-    "from_rim",
-    "from_upper_end",
-    "from_zero",
-    "input_signals",
-    "on",
-    "on_own",
-    "on_products",
-    "on_square_products",
-]
-
 Places = Callable[[Model], tuple[Place, ...]]
 Starts = Callable[[FloatArray], tuple[tuple[float, ...], ...]]
 

@@ -20,8 +20,6 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at
 from surge_core.errors import InputError
 
-__all__ = ["call_at", "compiled", "expression_address"]
-
 Expression: TypeAlias = Callable[[Model], Callable[..., float]]
 
 

@@ -7,15 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover
-from comparisons.missing_effect.results import (
-    CORRELATION,
-    FittedParameter,
-    MissingEffect,
-    ParameterRow,
-)
+from comparisons.missing_effect.results import CORRELATION, MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench, base_bench
+from comparisons.missing_effect.systems.candidates import Round
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
@@ -27,14 +24,12 @@ from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.systems.search import Round, search_round, still_aliases
+from comparisons.missing_effect.systems.search import search_round, still_aliases
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
-
-__all__ = ["MOST_EFFECTS", "diagnose_model"]
 
 MOST_EFFECTS = 4
 # What an effect beyond the first must explain: of the squared whitened errors, or of the squared

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover, foretold
-from comparisons.missing_effect.results import FittedParameter
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.candidates import Round
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import metric_of
@@ -17,9 +18,6 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.score import Prober
-from comparisons.missing_effect.systems.search import Round
-
-__all__ = ["doubts_of", "left_words", "leftover_of"]
 
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this

@@ -20,19 +20,6 @@ from comparisons.missing_effect.systems.pointers import kernel
 from comparisons.missing_effect.systems.shapes import map_value, term_value
 from surge_core.types import FloatArray, IntArray
 
-__all__ = [
-    "FLOATS",
-    "HEAD",
-    "ROW",
-    "SLOTS",
-    "System",
-    "add_effect",
-    "extended_output",
-    "extended_rhs",
-    "prepare",
-    "scratch_for",
-]
-
 # What every kernel takes: θ; integers and floats of the layout, as `systems.structure` packs them;
 # inputs between samples, shape (n_u, m, 4); and the clock of the first sample, the sample period,
 # middle and half length of the records' span.

@@ -12,8 +12,6 @@ from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["Experiment", "input_pieces"]
-
 FEWEST_ROWS = 40
 FEWEST_READINGS = 10
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it

@@ -19,8 +19,6 @@ from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["load_model", "read_experiment"]
-
 TIMES = ("time_s", "t")
 # How far a clock may be off a uniform one, in sample periods; a step of more than the second is a
 # gap and not a jitter.

@@ -20,8 +20,6 @@ from comparisons.missing_effect.systems.simulate import Path, answers, own_start
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Fit", "fit_runs", "scales_of", "settled"]
-
 MOST_ITERATIONS = 40
 # Log-units: a step that wins less ends the search.
 SETTLED = 0.02

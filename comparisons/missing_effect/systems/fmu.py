@@ -25,8 +25,6 @@ from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at, 
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["unit_parts"]
-
 # From this status on a call of a unit has failed: discard, error, fatal.
 DISCARDED = 2
 _ADDRESS, _NUMBER, _FLAG = ctypes.c_size_t, ctypes.c_double, ctypes.c_int

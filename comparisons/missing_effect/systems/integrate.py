@@ -16,8 +16,6 @@ from comparisons.missing_effect.systems.dynamics import SLOTS, System, extended_
 from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
 from surge_core.types import FloatArray
 
-__all__ = ["integrated"]
-
 METHODS = ("LSODA", "RADAU")
 # Longest step, in points of the grid (four a sample): the integrator must not stride over a pulse
 # of the input after a quiet stretch.

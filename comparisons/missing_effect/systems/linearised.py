@@ -25,17 +25,6 @@ from comparisons.missing_effect.systems.dynamics import (
 from comparisons.missing_effect.systems.pointers import kernel
 from surge_core.types import FloatArray, IntArray
 
-__all__ = [
-    "FINE",
-    "along",
-    "forced",
-    "output_slopes",
-    "parameter_forcing",
-    "propagators",
-    "terms_along",
-]
-
-
 # Points a sample on which a run is kept.
 FINE = 4
 RELATIVE_STEP = 1e-6

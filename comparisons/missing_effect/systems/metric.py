@@ -10,8 +10,6 @@ import numpy as np
 from comparisons.missing_effect.autoregression import autoregression
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["MOST_LAGS", "Metric", "metric_of", "raw_metric"]
-
 MOST_LAGS = 4
 
 

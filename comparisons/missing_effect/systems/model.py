@@ -16,8 +16,6 @@ import numpy as np
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 
-__all__ = ["BetweenSamples", "Model", "P"]
-
 BetweenSamples = Literal["auto", "held", "linear", "cubic", "band"]
 
 

@@ -24,8 +24,6 @@ from comparisons.missing_effect.systems.places import Number, SystemEffect
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from surge_core.errors import InputError
 
-__all__ = ["OPEN_TERMS", "open_effect"]
-
 _FUNCTIONS = {
     name: getattr(math, name) for name in ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt")
 } | {"abs": abs}

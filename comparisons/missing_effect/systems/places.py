@@ -12,8 +12,6 @@ from comparisons.missing_effect.systems.shapes import Kind, Term
 from comparisons.missing_effect.systems.units import is_mechanical
 from surge_core.types import FloatArray
 
-__all__ = ["Neutral", "Number", "Place", "Placed", "SystemEffect", "signal_names"]
-
 # How often the signal of an open term counts, in labels.
 RAISED = {Term.SQUARE: "²", Term.SQUARE_PRODUCT: "²", Term.CUBE: "³"}
 AT_INPUTS = (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY)

@@ -21,8 +21,6 @@ from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
-__all__ = ["placed_effects"]
-
 # Rows of a run on which a term of the user's own is sized.
 SIZED_ROWS = 500
 # What acts within a model, where a black box lets nothing in.

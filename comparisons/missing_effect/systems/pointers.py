@@ -11,16 +11,6 @@ from numba.extending import intrinsic
 
 from surge_core.types import FloatArray
 
-__all__ = [
-    "INTEGERS",
-    "NUMBERS",
-    "AtAddress",
-    "compiled_at",
-    "integers_at",
-    "kernel",
-    "numbers_at",
-]
-
 NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 # Kernels that make no array need not count who holds one, which took four fifths of their time: a
 # right-hand side of two states takes 0.06 µs without it, and 0.31 with it.

@@ -20,8 +20,6 @@ from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.types import FloatArray
 
-__all__ = ["correlation_of", "covariance", "numbers_of"]
-
 # Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
 # number in such directions from which on it is not reported.
 LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3

@@ -14,8 +14,6 @@ from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
 
-__all__ = ["FLIP_SEED", "favoured_metric", "promising", "raced"]
-
 # Effects that make an input or a reading come late.
 LATE = (Kind.INPUT_LAG, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # Effects that promise nothing to first order where the model without them went elsewhere: a wall

@@ -12,8 +12,6 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["all_pass"]
-
 # Rows by which a record is prolonged, point-symmetric about its ends, before it is transformed.
 PADDING = 400
 LEAST_BRIDGE = 100

@@ -15,8 +15,6 @@ from comparisons.missing_effect.systems.structure import Run
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Records", "check_run", "runs_of"]
-
 # The last third of each record is held out of the naming.
 FITTED_SHARE = 2.0 / 3.0
 # Rows that are fitted and held out while structures are compared, all records together: what a

@@ -9,20 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
-from comparisons.missing_effect.results import (
-    CandidateRow,
-    Diagnosis,
-    FittedParameter,
-    Gap,
-)
+from comparisons.missing_effect.effect import FittedParameter
+from comparisons.missing_effect.results import CandidateRow, Diagnosis, Gap
 from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
-from comparisons.missing_effect.systems.search import Candidate, Round
 from surge_core.types import FloatArray
-
-__all__ = ["SystemDiagnosis"]
 
 SHARE_UNIT = "1 (share of swing)"
 

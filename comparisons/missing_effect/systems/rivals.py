@@ -13,8 +13,6 @@ from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
-__all__ = ["rejected"]
-
 # Repeats, whose gaps give a normal tail, and steps of each fit: both begin near their ends.
 REPEATS, STEPS = 20, 3
 # Innovations are drawn in blocks, with either sign.

@@ -9,18 +9,6 @@ import numpy as np
 from comparisons.missing_effect.systems.model import Model
 from surge_core.types import FloatArray
 
-__all__ = [
-    "angles",
-    "displacements",
-    "free_equations",
-    "measured_as",
-    "physical",
-    "rate_factors",
-    "rate_of",
-    "rates",
-    "stored_from",
-]
-
 # Points at which an exact equation is compared with another state.
 TRIES = 5
 SAME = 1e-9

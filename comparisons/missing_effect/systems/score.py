@@ -20,8 +20,6 @@ from comparisons.missing_effect.systems.simulate import answers, effect_answers,
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
-__all__ = ["Answers", "Probe", "Prober"]
-
 # Effects whose columns are made together.
 LAID_TOGETHER = 16
 # A column that keeps less than this share of itself beside what is fitted already says nothing.

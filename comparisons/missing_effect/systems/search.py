@@ -27,8 +27,6 @@ from comparisons.missing_effect.systems.rivals import rejected
 from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.weigh import Weigher
 
-__all__ = ["Candidate", "Round", "search_round", "still_aliases"]
-
 UNNAMED_SHARE = 0.02
 # A plain form speaks for a refined one, and provisionally a name for a term without one that
 # corrects the same (cosine of the corrections), where it wins this share of what that wins.

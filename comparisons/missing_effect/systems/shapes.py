@@ -11,8 +11,6 @@ from enum import IntEnum
 
 from comparisons.missing_effect.systems.pointers import kernel
 
-__all__ = ["Kind", "Map", "Term", "map_value", "term_value"]
-
 
 class Kind(IntEnum):
     """Where and how an effect acts; the integers are what the kernels see."""

@@ -30,9 +30,6 @@ from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Path", "answers", "effect_answers", "own_starts", "path_of", "transitions"]
-
-
 RUNAWAY = 1e4
 # Of the coefficients of the recording filter.
 FILTER_STEP = 1e-4

@@ -16,8 +16,6 @@ from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["FIRST_TOLERANCE", "MOST_OFFSET", "Run", "Structure"]
-
 # A timing offset of an input beyond one sample is a delay, and has to be named.
 MOST_OFFSET = 1.0
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then

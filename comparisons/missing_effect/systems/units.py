@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from fractions import Fraction
 
-__all__ = ["is_mechanical", "product_of_units"]
-
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 TOKEN = re.compile(r"\s*([()/*·.]|[^\W\d_]+|[°%]\w*|1(?!\d))(?:(?:\^|\*\*)?(-?\d+))?\s*")

@@ -18,8 +18,6 @@ from comparisons.missing_effect.systems.race import FLIP_SEED
 from comparisons.missing_effect.systems.score import Answers, Prober
 from surge_core.types import FloatArray
 
-__all__ = ["Weigher"]
-
 BLOCKS = 60
 LEAST_BLOCK_ROWS = 20
 # Held-out blocks that lose no more than this share of what the others win speak with one voice.

@@ -10,15 +10,13 @@ import numpy as np
 from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.roles import measured_as
-from comparisons.missing_effect.where import Residuals, Where
 from comparisons.missing_effect.where import where_of as where_of_residuals
+from comparisons.missing_effect.where_rows import Residuals, Where
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.model import Model
-
-__all__ = ["where_of", "worst_output"]
 
 SIGNAL_KEYS = ("signal", "input", "sensor", "state")
 

@@ -12,7 +12,8 @@ from live_records import LiveRecord, made_record
 from raw_data import make_test
 
 from classic_ml.io import read_raw
-from classic_ml.reduction import ReductionSettings, near_stall_shifts, reduce_record
+from classic_ml.reduction import near_stall_shifts, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.live.detection import CycleCounter, Sighting, SurgeDetector
 from comparisons.live.estimate import estimate_of

@@ -22,7 +22,8 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.loading import load_data
-from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE
+from comparisons.rig.coefficient_tests import NOISES
 from surge_core.errors import InputError
 
 Records = list[CoefficientSeries]

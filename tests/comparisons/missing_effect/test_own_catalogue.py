@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from effect_data import series_of
 
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, Effect, Parameter, diagnose
 from comparisons.missing_effect.document import diagnosis_document
@@ -22,6 +21,7 @@ from comparisons.missing_effect.separate import separating_measurements
 from comparisons.missing_effect.terminal import diagnosis_text
 from comparisons.rig.coefficient_tests import simulate_test
 from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 SIZE = 0.02
 

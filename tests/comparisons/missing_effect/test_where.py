@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from comparisons.missing_effect.where import Residuals, Where, where_of
+from comparisons.missing_effect.where import where_of
+from comparisons.missing_effect.where_rows import Residuals, Where
 from comparisons.missing_effect.where_spectrum import power_bound, power_z
 from comparisons.missing_effect.where_words import describe
 from surge_core.errors import InputError

@@ -9,14 +9,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from comparisons.rig.coefficient_tests import (
-    EFFECTS,
-    OUTSIDE,
-    PAIRS,
-    CoefficientTest,
-    Noise,
-    simulate_test,
-)
+from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_tests import CoefficientTest, Noise, simulate_test
 from surge_core.errors import InputError
 
 FloatArray = NDArray[np.float64]

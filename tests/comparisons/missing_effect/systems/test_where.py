@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from made_systems import made_diagnosis
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.where import where_of
+from surge_core.types import FloatArray
 
 PERIOD_S = 0.01
 N = 8000
