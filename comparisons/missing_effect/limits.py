@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.limit_table import CHECKED_AT, Limit, Limits, size_words
 from comparisons.missing_effect.planting import Planter
+from comparisons.missing_effect.quantities import size_words, symbol
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
 
@@ -29,7 +30,9 @@ MOST_STEPS = 12
 # Then the whole workflow, rivals and all, has to name it: the size grows by this until it does.
 GROWTH = 1.2
 MOST_GROWTHS = 6
-# Where the check fails the limit is sought higher, so many times in all.
+# The check plants this many times the limit. Where it fails the limit is sought higher, so many
+# times in all.
+CHECKED_AT = 1.5
 ATTEMPTS = 3
 # Which noise is drawn: of the trials, and from here on of the checks.
 TRIALS, PHASES, FRESH = 0, 1, 2
@@ -40,8 +43,138 @@ NO_TRACE = 1.0
 # Share of the bounds that a size may reach.
 LARGEST_SHARE = 0.9
 LARGEST_LINEAR = 1e6
+# How an effect is computed, and nothing of the machine.
+NOT_SHOWN = ("prolonged", "intervals", "phi_from", "phi_to")
+LAGGED = {1.0: "behind the lag", 0.0: "not lagged"}
+KNOWN_ALREADY = "these records have it already"
 
-Progress = Callable[[Iterable["Limit"]], Iterable["Limit"]]
+
+@dataclass(frozen=True)
+class Limit:
+    """The smallest size of one effect that would have been named.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    parameter, unit : str
+        Which of its parameters is its size, and the unit.
+    size : float
+        The limit; NaN where there is none.
+    excess_sigma : float
+        Rms that an effect of that size leaves once the model without it is fitted again, in
+        standard deviations of the noise.
+    at : mapping of str to float
+        Its other parameters, where it was planted.
+    named, trials : int
+        How often it was named at that size.
+    check_size : float
+        The size of the check.
+    check_named, check_trials : int
+        How often it was named in fresh trials at that size.
+    why_none : str
+        Why there is no limit; empty where there is one.
+    runs : int
+        Workflows that it took.
+    seconds : float
+        And their time.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    size: float = math.nan
+    excess_sigma: float = math.nan
+    at: Mapping[str, float] = field(default_factory=dict)
+    named: int = 0
+    trials: int = 0
+    check_size: float = math.nan
+    check_named: int = 0
+    check_trials: int = 0
+    why_none: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a limit."""
+        return math.isfinite(self.size)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the row as plain JSON types; null where nothing is known."""
+        return {k: None if v != v else v for k, v in asdict(self).items()}  # noqa: PLR0124
+
+    def _cells(self) -> tuple[str, str, str, str]:
+        """Return effect, size, excess and check as they are printed."""
+        at = ", ".join(
+            LAGGED[value] if name == "lagged" else f"{symbol(name)} {value:.3g}"
+            for name, value in self.at.items()
+            if name not in NOT_SHOWN
+        )
+        size = f"{symbol(self.parameter)} = {size_words(self.size, self.unit)}"
+        excess = f"{self.excess_sigma:.2f} σ" if math.isfinite(self.excess_sigma) else ""
+        check = f"{self.check_named} of {self.check_trials} at {CHECKED_AT:g} times that"
+        at_words = f" ({at})" if at else ""
+        return self.effect, size + at_words, excess, check if self.check_trials else ""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of all effects on one set of records.
+
+    Parameters
+    ----------
+    rows : tuple of Limit
+        One an effect, in the order of the catalogue.
+    share : float
+        Share of the trials in which an effect of its limit is named.
+    trials, seed : int
+        Trials a size, and their seed.
+    seconds : float
+        Time that it took.
+    whole_runs : bool
+        Whether the records are whole runs, whose twins show the limits without a trial.
+    """
+
+    rows: tuple[Limit, ...]
+    share: float
+    trials: int
+    seed: int
+    seconds: float
+    whole_runs: bool = False
+
+    def __getitem__(self, effect: str) -> Limit:
+        """Return the limit of an effect."""
+        return next(row for row in self.rows if row.effect == effect)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What the limits say, a line an effect."""
+        cells = [row._cells() for row in self.rows if row.found]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = [
+            f"Smallest effect that would have been named in {100 * self.share:.0f} % of "
+            f"{self.trials} trials on these records:"
+        ]
+        if self.whole_runs:
+            lines = ["Smallest effect that stands out of twins of these records:"]
+        lines += [
+            f"{name:<{widths[0]}}  {size:<{widths[1]}}  {excess:>{widths[2]}}  {check}"
+            for name, size, excess, check in cells
+        ]
+        lines += [f"{row.effect}: no limit, {row.why_none}" for row in self.rows if not row.found]
+        if checked := sum(row.check_trials for row in self.rows):
+            lines.append(
+                f"check: {CHECKED_AT:g} times the limit, planted in fresh trials, was named in "
+                f"{sum(row.check_named for row in self.rows)} of {checked}; a limit whose check "
+                "had failed was raised"
+            )
+        return tuple(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the limits as plain JSON types."""
+        own = {name: value for name, value in vars(self).items() if name != "rows"}
+        return {**own, "effects": [row.to_json() for row in self.rows]}
 
 
 @one_thread()
@@ -54,7 +187,7 @@ def planted_limits(
     seed: int = 0,
     check: bool = True,
     jobs: int = 1,
-    progress: Progress = iter,
+    progress: Callable[[Iterable[Limit]], Iterable[Limit]] = iter,
 ) -> Limits:
     """Plant each effect into the user's own records and find the smallest that is named.
 
@@ -95,7 +228,7 @@ def planted_limits(
     begin = time.perf_counter()
     wanted = [_wanted(e, diagnosis.catalogue) for e in effects or diagnosis.catalogue]
     if diagnosis.whole_runs:
-        return _of_twins(diagnosis, wanted)
+        return Limits(_of_twins(diagnosis, wanted), 1.0, 0, 0, 0.0, whole_runs=True)
     drill = _Drill(
         Planter.of(diagnosis),
         diagnosis.before.structure.terms,
@@ -105,15 +238,11 @@ def planted_limits(
         check,
         tuple({e.name: e for e in (*diagnosis.catalogue, *wanted)}.values()),
     )
-    known = {
-        **diagnosis.unavailable,
-        **dict.fromkeys(diagnosis.names, "these records have it already"),
-    }
+    known = {**diagnosis.unavailable, **dict.fromkeys(diagnosis.names, KNOWN_ALREADY)}
     never = _why_never(diagnosis)
-    tasks = [(drill, effect, known.get(effect.name, never)) for effect in wanted]
-    rows = tuple(progress(_done(tasks, jobs)))
-    seconds = time.perf_counter() - begin
-    return Limits(rows, share, trials, seed, seconds)
+    tasks = [(effect, known.get(effect.name, never)) for effect in wanted]
+    rows = tuple(progress(_done(drill, tasks, jobs)))
+    return Limits(rows, share, trials, seed, time.perf_counter() - begin)
 
 
 def _wanted(effect: Effect | str, catalogue: Sequence[Effect]) -> Effect:
@@ -136,19 +265,18 @@ def _why_never(diagnosis: LagDiagnosis) -> str:
     return ""
 
 
-_Task = tuple["_Drill", Effect, str]
-_Test = Callable[[Effect, float, int, int], bool]
-
-
-def _done(tasks: Sequence[_Task], jobs: int) -> Iterator[Limit]:
+def _done(drill: _Drill, tasks: Sequence[tuple[Effect, str]], jobs: int) -> Iterator[Limit]:
     from joblib import Parallel, delayed
 
-    yield from Parallel(jobs, return_as="generator")(delayed(_limit)(task) for task in tasks)
+    parallel = Parallel(jobs, return_as="generator")
+    yield from parallel(delayed(_limit)(drill, *task) for task in tasks)
 
 
-def _limit(task: _Task) -> Limit:
-    drill, effect, why_none = task
+def _limit(drill: _Drill, effect: Effect, why_none: str) -> Limit:
     return drill.limit(effect, why_none)
+
+
+_Test = Callable[[Effect, float, int, int], bool]
 
 
 @dataclass(frozen=True)
@@ -165,30 +293,30 @@ class _Drill:
 
     def limit(self, effect: Effect, why_none: str) -> Limit:
         """Find the limit of one effect."""
-        amplitude = effect.parameters[0]
-        none = Limit(effect.name, amplitude.name, amplitude.unit)
-        why_none = why_none or self._not_planted(effect)
+        none = _no_limit(effect)
+        if effect.port == "noise":
+            why_none = why_none or "it is a property of φ, not of the model"
         if why_none:
-            return _without(none, why_none)
+            return replace(none, why_none=why_none)
         begin = time.perf_counter()
         first = self._first_size(effect)
         if first is None:
-            return _without(none, "these records show no trace of it, however large")
-        size = self._accepted_from(effect, first)
-        found, runs = none, 0
+            return replace(none, why_none="these records show no trace of it, however large")
+        size, found, runs = self._accepted_from(effect, first), none, 0
         for attempt in range(ATTEMPTS):
             size, named, run = self._named_from(effect, size)
             runs += run
             if named < self.needed:
-                why_none = f"not named up to {size_words(size, amplitude.unit)}"
-                return _timed(_without(none, why_none), runs, time.perf_counter() - begin)
-            found = self._found(effect, size, named, none, attempt)
+                why_none = f"not named up to {size_words(size, none.unit)}"
+                found = replace(none, why_none=why_none)
+                break
+            found = self._found(effect, size, named, attempt)
             runs += found.check_trials
             if not self.check or found.check_named >= self.needed:
                 break
             # It was named by luck, or larger ones take other names: the limit lies higher.
             size = found.check_size
-        return _timed(found, runs, time.perf_counter() - begin)
+        return replace(found, runs=runs, seconds=time.perf_counter() - begin)
 
     def _named_from(self, effect: Effect, size: float) -> tuple[float, int, int]:
         """Return the size from which on the whole workflow names an effect."""
@@ -201,41 +329,33 @@ class _Drill:
             size = min(GROWTH * size, _largest(effect))
         return size, named, runs
 
-    def _not_planted(self, effect: Effect) -> str:
-        if effect.port == "noise":
-            return "it is a property of φ, not of the model"
-        return ""
-
-    def _found(self, effect: Effect, size: float, named: int, none: Limit, attempt: int) -> Limit:
-        shape = self.planter.shape(effect)
+    def _found(self, effect: Effect, size: float, named: int, attempt: int) -> Limit:
         others = [p.name for p in effect.nonlinear][0 if effect.linear else 1 :]
-        clean = self.planter.planted(effect, size, np.random.default_rng([self.seed, PHASES]))
-        checked = self.trials if self.check else 0
         check_size = min(CHECKED_AT * size, _largest(effect))
+        checked = self.trials if self.check else 0
         kind = FRESH + attempt
-        check_named = sum(self._named(effect, check_size, kind, i) for i in range(checked))
-        return Limit(
-            none.effect,
-            none.parameter,
-            none.unit,
-            size,
-            self.planter.promise(clean)[1],
-            dict(zip(others, shape.tolist(), strict=True)),
-            named,
-            self.trials,
-            check_size,
-            check_named,
-            checked,
+        return replace(
+            _no_limit(effect),
+            size=size,
+            excess_sigma=self._promise(effect, size)[1],
+            at=dict(zip(others, self.planter.shape(effect).tolist(), strict=True)),
+            named=named,
+            trials=self.trials,
+            check_size=check_size,
+            check_named=sum(self._named(effect, check_size, kind, i) for i in range(checked)),
+            check_trials=checked,
         )
+
+    def _promise(self, effect: Effect, size: float) -> tuple[float, float]:
+        clean = self.planter.planted(effect, size, np.random.default_rng([self.seed, PHASES]))
+        return self.planter.promise(clean)
 
     def _first_size(self, effect: Effect) -> float | None:
         """Return a size whose gain on the fitted rows should be about what is asked."""
-        largest = _largest(effect)
-        asked = self._asked(effect)
+        largest, asked = _largest(effect), self._asked(effect)
         size = min(10.0 * effect.parameters[0].step, largest)
         for _ in range(8):
-            clean = self.planter.planted(effect, size, np.random.default_rng([self.seed, PHASES]))
-            gain, _ = self.planter.promise(clean)
+            gain, _ = self._promise(effect, size)
             if gain < NO_TRACE and size >= largest:
                 return None
             if 0.8 < gain / asked < 1.25:
@@ -321,34 +441,30 @@ class _Drill:
         return any(effect.name in item.alias_set and not item.provisional for item in found.missing)
 
 
-def _of_twins(diagnosis: LagDiagnosis, effects: Sequence[Effect]) -> Limits:
+def _of_twins(diagnosis: LagDiagnosis, effects: Sequence[Effect]) -> tuple[Limit, ...]:
     """Return what twins of whole runs show: there the limits are known without planting."""
     sizes = {row.effect: row for row in diagnosis.absent}
     never = {
         **{row.effect: row.why for row in diagnosis.untold},
         **diagnosis.unavailable,
-        **dict.fromkeys(diagnosis.tau_by_alias_s, "these records have it already"),
-        **dict.fromkeys(diagnosis.names, "these records have it already"),
+        **dict.fromkeys((*diagnosis.tau_by_alias_s, *diagnosis.names), KNOWN_ALREADY),
     }
     rows = []
     for effect in effects:
-        row, amplitude = sizes.get(effect.name), effect.parameters[0]
-        none = Limit(effect.name, amplitude.name, amplitude.unit)
-        if row is None:
-            rows.append(_without(none, never.get(effect.name, "it is judged in other rows")))
-        else:
-            rows.append(Limit(effect.name, row.parameter, row.unit, row.size))
-    return Limits(tuple(rows), 1.0, 0, 0, 0.0, whole_runs=True)
+        row = sizes.get(effect.name)
+        why = never.get(effect.name, "it is judged in other rows")
+        rows.append(
+            replace(_no_limit(effect), why_none=why)
+            if row is None
+            else Limit(effect.name, row.parameter, row.unit, row.size)
+        )
+    return tuple(rows)
+
+
+def _no_limit(effect: Effect) -> Limit:
+    return Limit(effect.name, effect.parameters[0].name, effect.parameters[0].unit)
 
 
 def _largest(effect: Effect) -> float:
     high = effect.parameters[0].high
     return LARGEST_SHARE * high if math.isfinite(high) else LARGEST_LINEAR
-
-
-def _without(none: Limit, why: str) -> Limit:
-    return replace(none, why_none=why)
-
-
-def _timed(limit: Limit, runs: int, seconds: float) -> Limit:
-    return replace(limit, runs=runs, seconds=seconds)

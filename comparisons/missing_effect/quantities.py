@@ -84,6 +84,23 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     return f"{round_to_error(value, stderr)} {shown}".rstrip()
 
 
+def size_words(value: float, unit: str) -> str:
+    """Return a size in the unit that is easiest read, to the two digits that are known of it.
+
+    Parameters
+    ----------
+    value : float
+        The size.
+    unit : str
+        SI; ``"1"`` without one.
+    """
+    if unit == "s" and value < 1.0:
+        return f"{significant(1e3 * value, 2)} ms"
+    if unit == "s^2" and value < 1e-2:
+        return f"{significant(1e6 * value, 2)} ms²"
+    return f"{significant(value, 2)} {'' if unit == '1' else unit}".rstrip()
+
+
 def tau_ms(tau_s: float, stderr_s: float | None = None) -> str:
     """Return a time constant in milliseconds, with its standard error where it is given.
 

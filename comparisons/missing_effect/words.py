@@ -16,8 +16,13 @@ from comparisons.missing_effect.lag_words import (
     structure_words,
     tau_words,
 )
-from comparisons.missing_effect.limit_table import size_words
-from comparisons.missing_effect.quantities import PORT_WORDS, number_rows, plain_name, tau_ms
+from comparisons.missing_effect.quantities import (
+    PORT_WORDS,
+    number_rows,
+    plain_name,
+    size_words,
+    tau_ms,
+)
 from comparisons.missing_effect.results import (
     CORRELATION,
     MUCH_CORRELATED,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import runpy
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -27,8 +27,10 @@ LARGEST_JITTER, GAP = 1e-3, 1.5
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MATLAB_73 = b"MATLAB 7.3"
-ZIP = b"PK"
 LONGEST_CAUSE = 200
+
+Names: TypeAlias = tuple[str, ...] | None
+Columns: TypeAlias = dict[str, FloatArray]
 
 
 def read_experiment(
@@ -65,23 +67,30 @@ def read_experiment(
     """
     file = Path(path)
     reader = _READERS.get(file.suffix.lower())
+    found = ""
     if file.is_dir():
-        raise InputError(str(file), expected="a record", found="a folder")
-    if reader is None:
+        found = "a folder"
+    elif reader is None:
+        found = f"the suffix '{file.suffix}'"
+    elif not file.is_file():
+        found = "no such file"
+    elif file.stat().st_size == 0:
+        found = "an empty file"
+    if reader is None or found:
         raise InputError(
-            str(file),
-            expected="a record ending in .csv, .mat, .npz or .nc",
-            found=f"the suffix '{file.suffix}'",
+            str(file), expected="a record ending in .csv, .mat, .npz or .nc", found=found
         )
-    if not file.is_file():
-        raise InputError(str(file), expected="a record", found="no such file")
-    if file.stat().st_size == 0:
-        raise InputError(str(file), expected="a record", found="an empty file")
     wanted = None if model is None else (*model.input_names, *model.output_names)
     columns = reader(file, wanted)
-    clock = _clock_name(file, columns)
-    time_s = columns.pop(clock)
-    _check_rows(file, time_s, columns, wanted)
+    clocks = [name for name in TIMES if name in columns]
+    if len(clocks) != 1:
+        raise InputError(
+            str(file),
+            expected="one column of time in seconds, 'time_s' or 't'",
+            found="both" if clocks else f"columns {', '.join(columns) or 'of other names'}",
+        )
+    time_s = columns.pop(clocks[0])
+    _check_rows(file, time_s, columns, wanted or ())
     if not 0 <= settle < time_s.size:
         raise InputError(
             f"{file}: settle",
@@ -90,9 +99,7 @@ def read_experiment(
         )
     if wanted is None:
         columns = {key: values for key, values in columns.items() if values.size == time_s.size}
-    if not columns:
-        raise InputError(str(file), expected=f"columns beside '{clock}'", found="none")
-    period_s = _period(file, clock, time_s)
+    period_s = _period(file, clocks[0], time_s)
     run = Experiment(
         name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
     )
@@ -127,16 +134,22 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         with _folder_on_path(file.parent):
             space = runpy.run_path(str(file), run_name="sindy_surge_model")
     except InputError as error:
-        where = f"{file}, line {_line_of(error, file)}: {error.where}"
         raise InputError(
-            where, expected=error.expected, found=error.found, remedy=error.remedy
+            f"{file}, line {_line_of(error, file)}: {error.where}",
+            expected=error.expected,
+            found=error.found,
+            remedy=error.remedy,
         ) from error
-    except SyntaxError as error:
-        raise _not_run(file, error.lineno or 1, f"{type(error).__name__}: {error.msg}") from error
     except (Exception, SystemExit) as error:
         # A program of the user's raises whatever it likes.
-        said = f"{type(error).__name__}: {_cause(error)}"
-        raise _not_run(file, _line_of(error, file), said) from error
+        line, said = _line_of(error, file), _cause(error)
+        if isinstance(error, SyntaxError):
+            line, said = error.lineno or 1, error.msg
+        raise InputError(
+            f"{file}, line {line}",
+            expected="Python that runs",
+            found=f"{type(error).__name__}: {said}",
+        ) from error
     if isinstance(space.get("model"), Model):
         return space["model"]  # type: ignore[no-any-return]
     models = {id(value): name for name, value in space.items() if isinstance(value, Model)}
@@ -173,133 +186,87 @@ def _line_of(error: BaseException, file: Path) -> int:
     return lines[-1] if lines else 1
 
 
-def _not_run(file: Path, line: int, said: str) -> InputError:
-    return InputError(f"{file}, line {line}", expected="Python that runs", found=said)
-
-
 def _cause(error: BaseException) -> str:
     """Return what an exception says, on one line."""
     return (" ".join(str(error).split()) or type(error).__name__)[:LONGEST_CAUSE]
 
 
-def _read_csv(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+@contextmanager
+def _parsed(file: Path, what: str) -> Iterator[None]:
+    """Say any failure of a reader in one sentence: they raise whatever they stumble over."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        found = f"what cannot be read ({_cause(error)})"
+        if isinstance(error, UnicodeDecodeError):
+            found = "bytes that are no text"
+        raise InputError(str(file), expected=what, found=found) from error
+
+
+def _read_csv(file: Path, wanted: Names) -> Columns:
     import pandas as pd
 
-    names = _csv_names(file)
-    kept = list(names) if wanted is None else [n for n in names if n in (*TIMES, *wanted)]
-    try:
-        with warnings.catch_warnings():
-            # A row that is longer than the header is a warning there, and would be cut.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                file,
-                header=None,
-                names=list(names),
-                skiprows=1,
-                index_col=False,
-                encoding="utf-8-sig",
-                skipinitialspace=True,
-                low_memory=False,
-            )
-    except pd.errors.EmptyDataError:
-        return {name: np.zeros(0) for name in kept}
-    except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
-        raise InputError(
-            str(file),
-            expected=f"a table of {len(names)} columns separated by commas",
-            found=_cause(error),
-        ) from error
-    return {name: _numbers(file, name, table[name].to_numpy()) for name in kept}
-
-
-def _csv_names(file: Path) -> tuple[str, ...]:
-    """Return the header of a table; refuse one that is none."""
-    try:
-        with file.open(encoding="utf-8-sig", newline="") as lines:
-            header = next(csv.reader(lines), [])
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            str(file), expected="a table as UTF-8 text", found="bytes that are no text"
-        ) from error
-    names = tuple(name.strip() for name in header)
-    if any("\0" in name for name in names):
-        raise InputError(
-            str(file), expected="a table as UTF-8 text", found="bytes that are no text"
-        )
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(
-            f"{file}: header", expected="each column once", found=f"'{twice[0]}' twice"
-        )
-    if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+    how: Any = {"header": None, "encoding": "utf-8-sig", "skipinitialspace": True}
+    with _parsed(file, "a table as UTF-8 text"):
+        names = [str(name).strip() for name in pd.read_csv(file, nrows=1, **how).iloc[0]]
+    if len(names) == 1 or len(set(names)) < len(names):
         raise InputError(
             f"{file}: header",
-            expected="columns separated by commas",
-            found=f"'{names[0][:60]}'",
+            expected="names of columns separated by commas, each once",
+            found=", ".join(names)[:60],
             remedy="write it with commas between columns and points in numbers",
         )
-    return names
-
-
-def _numbers(file: Path, name: str, column: np.ndarray) -> FloatArray:
-    """Return a column as numbers, or say which row is none."""
-    if column.dtype.kind in "iufb":
-        return column.astype(np.float64)
-    for row, cell in enumerate(column, start=1):
-        try:
-            float(cell)
-        except (TypeError, ValueError):
+    expected = f"a table of {len(names)} columns separated by commas"
+    with _parsed(file, expected), warnings.catch_warnings():
+        # A row that is longer than the header is a warning there, and would be cut.
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        table = pd.read_csv(file, names=names, skiprows=1, index_col=False, low_memory=False, **how)
+    out = {}
+    for name in names if wanted is None else (n for n in names if n in (*TIMES, *wanted)):
+        numbers = pd.to_numeric(table[name], errors="coerce")
+        words = np.flatnonzero(numbers.isna() & table[name].notna())
+        if words.size:
+            cell = str(table[name][words[0]])[:40]
             raise InputError(
-                f"{file}: {name}", expected="numbers", found=f"'{str(cell)[:40]}' in row {row}"
-            ) from None
-    return np.array([float(cell) for cell in column])
+                f"{file}: {name}", expected="numbers", found=f"'{cell}' in row {words[0] + 1}"
+            )
+        out[name] = numbers.to_numpy(dtype=np.float64)
+    return out
 
 
-def _read_mat(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+def _read_mat(file: Path, wanted: Names) -> Columns:
     from scipy.io import loadmat
 
     with file.open("rb") as opened:
-        head = opened.read(len(MATLAB_73))
-    if head.startswith((MATLAB_73, HDF5)):
-        raise InputError(
-            str(file),
-            expected="a MATLAB file of version 5 to 7.2",
-            found="version 7.3",
-            remedy="save it in MATLAB with save(..., '-v7'), or export it as .csv",
-        )
-    with _parsed(file, "a MATLAB file"):
-        found = loadmat(str(file), appendmat=False)
-    return _vectors(
-        file, {k: np.asarray(v) for k, v in found.items() if not k.startswith("__")}, wanted
-    )
-
-
-def _read_npz(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
-    arrays: dict[str, np.ndarray] = {}
-    with file.open("rb") as binary:
-        if not binary.read(len(ZIP)).startswith(ZIP):
+        if opened.read(len(MATLAB_73)).startswith((MATLAB_73, HDF5)):
             raise InputError(
                 str(file),
-                expected="an .npz file of plain arrays, each with its name",
-                found="a file of another kind",
-                remedy="save it with savez and the name of each column",
+                expected="a MATLAB file of version 5 to 7.2",
+                found="version 7.3",
+                remedy="save it in MATLAB with save(..., '-v7'), or export it as .csv",
             )
+    with _parsed(file, "a MATLAB file"):
+        found = loadmat(str(file), appendmat=False)
+    return _vectors(file, {k: v for k, v in found.items() if not k.startswith("__")}, wanted)
+
+
+def _read_npz(file: Path, wanted: Names) -> Columns:
     # Objects would be executed as they are loaded; they are refused.
     with (
-        _parsed(file, "an .npz file of plain arrays"),
+        _parsed(file, "an .npz file of plain arrays, each with its name"),
         file.open("rb") as binary,
         np.load(binary, allow_pickle=False) as opened,
     ):
-        for name in opened.files:
-            if wanted is None or name in (*TIMES, *wanted):
-                arrays[name] = _plain(file, name, opened)
-    return _vectors(file, arrays, wanted)
+        kept = [name for name in opened.files if wanted is None or name in (*TIMES, *wanted)]
+        return _vectors(file, {name: _plain(file, name, opened) for name in kept}, wanted)
 
 
-def _plain(file: Path, name: str, opened: Mapping[str, np.ndarray]) -> np.ndarray:
+def _plain(file: Path, name: str, opened: Mapping[str, Any]) -> Any:
     """Return an array of a file; refuse one of objects, which only a program can make again."""
     try:
-        return np.asarray(opened[name])
+        return opened[name]
     except ValueError as error:
         if "allow_pickle" not in str(error):
             raise
@@ -311,36 +278,23 @@ def _plain(file: Path, name: str, opened: Mapping[str, np.ndarray]) -> np.ndarra
         ) from error
 
 
-def _read_netcdf(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+def _read_netcdf(file: Path, wanted: Names) -> Columns:
     with _parsed(file, "a netCDF file"):
         import xarray
 
         with xarray.open_dataset(file, decode_times=False) as dataset:
-            arrays = {str(name): np.asarray(dataset[name].values) for name in dataset.variables}
+            arrays = {str(name): dataset[name].values for name in dataset.variables}
     return _vectors(file, arrays, wanted)
 
 
-@contextmanager
-def _parsed(file: Path, what: str) -> Iterator[None]:
-    """Tell any failure of a reader as one sentence: they raise whatever they stumble over."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(
-            str(file), expected=what, found=f"what cannot be read ({_cause(error)})"
-        ) from error
-
-
-def _vectors(
-    file: Path, arrays: Mapping[str, np.ndarray], wanted: tuple[str, ...] | None
-) -> dict[str, FloatArray]:
+def _vectors(file: Path, arrays: Mapping[str, Any], wanted: Names) -> Columns:
     """Return the vectors of numbers among arrays; refuse what is wanted and is none."""
     out = {}
-    for name, values in arrays.items():
-        vector = values.size > 1 and values.size == max(values.shape)
-        if vector and values.dtype.kind in "iufb":
+    for name, found in arrays.items():
+        if wanted is not None and name not in (*TIMES, *wanted):
+            continue
+        values = np.asarray(found)
+        if 1 < values.size == max(values.shape) and values.dtype.kind in "iufb":
             out[name] = values.ravel().astype(np.float64)
         elif wanted is not None and name in wanted:
             raise InputError(
@@ -348,9 +302,7 @@ def _vectors(
                 expected="a vector of real numbers",
                 found=f"shape {values.shape} of {values.dtype}",
             )
-    if wanted is None:
-        return out
-    return {name: values for name, values in out.items() if name in (*TIMES, *wanted)}
+    return out
 
 
 _READERS = {
@@ -363,32 +315,16 @@ _READERS = {
 }
 
 
-def _clock_name(file: Path, columns: Mapping[str, FloatArray]) -> str:
-    found = [name for name in TIMES if name in columns]
-    if len(found) != 1:
-        raise InputError(
-            str(file),
-            expected="one column of time in seconds, 'time_s' or 't'",
-            found="both" if found else f"columns {', '.join(columns) or 'of other names'}",
-        )
-    return found[0]
-
-
-def _check_rows(
-    file: Path,
-    time_s: FloatArray,
-    columns: Mapping[str, FloatArray],
-    wanted: tuple[str, ...] | None,
-) -> None:
+def _check_rows(file: Path, time_s: FloatArray, columns: Columns, wanted: Sequence[str]) -> None:
     if time_s.size < FEWEST_ROWS:
         raise InputError(
             f"{file}: rows", expected=f"at least {FEWEST_ROWS}", found=f"{time_s.size}"
         )
-    for name in wanted or ():
+    for name in wanted:
         if name not in columns:
             raise InputError(
                 f"{file}: {name}",
-                expected=f"columns {', '.join(wanted or ())}",
+                expected=f"columns {', '.join(wanted)}",
                 found=f"{', '.join(columns) or 'none of them'}",
                 remedy="call the column as the model does",
             )
