@@ -21,7 +21,6 @@ from comparisons.cli.shared import (
     writes,
 )
 from surge_core.errors import InputError
-from surge_core.files import write_whole
 from surge_core.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
@@ -180,24 +179,27 @@ def _saved(d: LagDiagnosis, path: Path) -> str:
 
 def _model(given: argparse.Namespace) -> list[str]:
     """Diagnose a user's own model, whose file is executed, and return what is printed."""
-    from comparisons.missing_effect.script import contents_of, steps_of
+    from comparisons.missing_effect.document import diagnosis_document
+    from comparisons.missing_effect.report import diagnosis_report
+    from comparisons.missing_effect.script import FITS
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
     from comparisons.missing_effect.terminal import diagnosis_text
 
     most = given.max_effects or DEFAULT_MODEL_EFFECTS
-    with shown_steps(steps_of(most) + 2) as begin:
+    with shown_steps(most + FITS + 2) as begin:
         begin("reading")
         model = load_model(given.model)
         fit = [read_experiment(path, model) for path in given.fit]
         check = [read_experiment(path, model) for path in given.check]
-        found = diagnose_model(model, fit, check, most_effects=most, progress=begin)
+        d = diagnose_model(model, fit, check, most_effects=most, progress=begin)
         begin("writing")
-        contents = contents_of({model.name: found}, command_line(), given.json, given.report)
-        for _, path, content in contents:
-            write_whole(path, content)
-    written = [f"{label}: {path}" for label, path, _ in contents]
-    return [diagnosis_text(found), *([""] if written else []), *written]
+        written = write_asked(
+            given,
+            json=lambda: diagnosis_document(d),
+            report=lambda: diagnosis_report({d.title: d}, command_line()),
+        )
+    return [diagnosis_text(d), *([""] if written else []), *written]
 
 
 _RECORDS: dict[str, Any] = {"nargs": "+", "default": [], "metavar": "RECORD"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -10,18 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.missing_effect.lag_curves import contributions, steady_curves
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.quantities import model_equation
-from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.telling import wheres_of
 from comparisons.missing_effect.where_rows import PANELS
 from comparisons.missing_effect.words import verdict_words
 
 if TYPE_CHECKING:
-    from comparisons.missing_effect.fit import Fit
-    from comparisons.missing_effect.results import CandidateRow, Diagnosis, MissingEffect
+    from comparisons.missing_effect.results import CandidateRow, Diagnosis
     from comparisons.missing_effect.runs import CheckRun
 
 DIAGNOSE_SCHEMA = "sindy-surge/diagnose/1"
@@ -29,8 +22,6 @@ DIAGNOSE_SCHEMA = "sindy-surge/diagnose/1"
 LEAST_PLAIN = 0.1
 PLAIN_UNIT = re.compile(r"(V|m|A|N|Pa|K|rad|s|W|J|T|C|F|H)([/· ].*)?")
 GAP = ("before_rms", "after_rms", "floor_rms", "shrink")
-NOISE = ("sigma", "innovation", "ar", "heavy_share", "coloured", "heavy_tailed")
-LEFTOVER = ("gain", "degrees", "p_value", "structured")
 
 Errors = dict[str, dict[str, Any]]
 
@@ -58,14 +49,11 @@ def diagnosis_document(
     dict
         Numbers that are not finite are NaN here; `to_strict_json` writes them as null.
     """
-    wheres = wheres_of(d)
-    common: dict[str, Any] = {
+    wheres, own = d.wheres, d.own_document()
+    document: dict[str, Any] = {
         "schema": DIAGNOSE_SCHEMA,
         "verdict": d.verdict,
         "words": verdict_words(d, limited=limits is not None, separated=separation is not None),
-        "missing": [_missing(item, d.doubts_of(item)) for item in d.missing],
-        "gap": {name: getattr(d.gap, name) for name in GAP},
-        "where": wheres[0].to_json() if wheres else {name: [] for name in PANELS},
         "candidates": [_candidate(row) for row in d.candidates],
         "parameters": [asdict(row) for row in d.parameters],
         "test_rmse": rmse_of([run for run in d.runs if run.held_out]),
@@ -74,18 +62,19 @@ def diagnosis_document(
         "cannot_be_told": [asdict(row) for row in d.untold],
         "not_there": [asdict(row) for row in d.absent],
         "remarks": list(d.remarks),
+        **own,
+        "missing": [
+            {**asdict(item), "doubts": list(d.doubts_of(item)), **more}
+            for item, more in zip(d.missing, own["missing"], strict=True)
+        ],
+        "gap": {**{name: getattr(d.gap, name) for name in GAP}, **own.get("gap", {})},
+        "where": wheres[0].to_json() if wheres else {name: [] for name in PANELS},
     }
     if isinstance(d, LagDiagnosis):
-        own = {
-            "limits": None if limits is None else limits.to_json(),
-            "separation": None if separation is None else separation.to_json(),
-            "base": {"terms": list(d.before.structure.terms), **(base or {})},
-        }
-        of_kind = {**_of_lag(d, common["missing"]), **own}
-    else:
-        assert isinstance(d, SystemDiagnosis)
-        of_kind = _of_system(d, common["missing"], common["gap"])
-    return {key: _plain(value) for key, value in {**common, **of_kind}.items()}
+        document["limits"] = None if limits is None else limits.to_json()
+        document["separation"] = None if separation is None else separation.to_json()
+        document["base"] = {"terms": list(d.before.structure.terms), **(base or {})}
+    return {key: _plain(value) for key, value in document.items()}
 
 
 def rmse_of(runs: Sequence[CheckRun]) -> Errors:
@@ -142,10 +131,6 @@ def _free_name(name: str, taken: Mapping[str, Any]) -> str:
     return free
 
 
-def _missing(item: MissingEffect, doubts: tuple[str, ...]) -> dict[str, Any]:
-    return {**asdict(item), "doubts": list(doubts)}
-
-
 def _candidate(row: CandidateRow) -> dict[str, Any]:
     return {
         **asdict(row),
@@ -156,95 +141,6 @@ def _candidate(row: CandidateRow) -> dict[str, Any]:
         "train": row.train_gain,
         "held_out": row.later_gain,
         "z": row.held_out_z,
-    }
-
-
-def _of_lag(d: LagDiagnosis, missing: list[dict[str, Any]]) -> dict[str, Any]:
-    adds = contributions(d)
-    tau = d.parameters[0]
-    return {
-        "missing": [
-            {**item, "port": item["place"]["port"], "contribution_rms": adds.get(item["effect"])}
-            for item in missing
-        ],
-        "time_constant_s": {
-            "before": tau.before,
-            "after": tau.after,
-            "by_alias": dict(d.tau_by_alias_s),
-            "before_stderr": tau.before_stderr,
-            "after_stderr": tau.after_stderr,
-        },
-        "whole_runs": d.whole_runs,
-        "noise": {name: getattr(d.noise, name) for name in NOISE},
-        "leftover": {name: getattr(d.leftover, name) for name in LEFTOVER},
-        "rounds": [
-            {
-                "model": list(step.bench.fit.structure.names),
-                "added": None if step.winner is None else [e.name for e in step.winner.added],
-                "leftover": {name: getattr(step.leftover, name) for name in LEFTOVER},
-            }
-            for step in d.rounds
-        ],
-        "records": _records(d),
-        "model": {"before": _model(d, d.before), "after": _model(d, d.after)},
-    }
-
-
-def _records(d: LagDiagnosis) -> list[dict[str, Any]]:
-    data = d.data
-    time_s = data.sampled(data["time_s"])
-    out = []
-    for number, source in enumerate(data.sources):
-        rows = data.record == number
-        parts = {
-            name: int(np.count_nonzero(rows & data.scored(part)))
-            for name, part in (("fitted", TRAIN), ("later_time", LATER), ("other_record", OTHER))
-        }
-        out.append(
-            {
-                "source": source,
-                "from_s": time_s[rows].min(),
-                "to_s": time_s[rows].max(),
-                "sample_rate_hz": 1.0 / data.sample_period_s,
-                "rows": parts,
-            }
-        )
-    return out
-
-
-def _model(d: LagDiagnosis, fit: Fit) -> dict[str, Any]:
-    terms = fit.structure.terms
-    return {
-        "equation": model_equation(fit),
-        "time_constant_s": fit.tau_s,
-        "terms": [
-            {"name": name, "coefficient": value}
-            for name, value in zip(terms, fit.coefficients, strict=False)
-        ],
-        "effects": list(fit.structure.names),
-        "characteristic": [
-            {"label": curve.label, "phi": curve.phi.tolist(), "psi_p": curve.value.tolist()}
-            for curve in steady_curves(fit, d.data)
-        ],
-    }
-
-
-def _of_system(
-    d: SystemDiagnosis, missing: list[dict[str, Any]], gap: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        # Of one name; those of the others stand in the report.
-        "missing": [{**item, "confirm": item["confirm"].get(item["label"])} for item in missing],
-        "gap": {**gap, "unit": d.gap.unit},
-        "time_constant_s": {"before": math.nan, "after": math.nan, "by_alias": {}},
-        "timing_offsets": [asdict(offset) for offset in d.offsets],
-        "input_between_samples": d.after.structure.between if d.model.inputs else None,
-        "model": {
-            "name": d.model.name,
-            "states": d.model.states,
-            "inputs": d.model.inputs,
-            "outputs": d.model.outputs,
-        },
     }
 
 

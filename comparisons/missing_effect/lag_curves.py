@@ -1,23 +1,20 @@
-"""What a fitted lag model does: where it misses, its characteristic, and what each effect adds."""
+"""What a fitted lag model does: its characteristic, what each effect adds, and both as JSON."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.open_terms import with_state
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
+from comparisons.missing_effect.quantities import model_equation
 from comparisons.missing_effect.uncertainty import without_amplitude
-from comparisons.missing_effect.where import where_of
-from comparisons.missing_effect.where_rows import Residuals, Where
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 241
@@ -42,60 +39,11 @@ class Curve:
     value: FloatArray
 
 
-def lag_where(d: LagDiagnosis) -> Where:
-    """Return where the residuals of the fits to all rows stand out of the noise.
-
-    Parameters
-    ----------
-    d : LagDiagnosis
-        The diagnosis.
-
-    Raises
-    ------
-    InputError
-        When the records are too short to look at.
-    """
-    data = d.data
-    phi = data["phi_averaged"] if "phi_averaged" in data else data["phi"]
-    names = tuple(PurePath(source).name for source in data.sources)
-    before, after = (
-        data.measured - fit.errors(_with_state_of(fit, data), Metric())
-        for fit in (d.before, d.after)
-    )
-    return where_of(
-        Residuals(
-            "psi_p",
-            "1",
-            data.sampled(data["time_s"]),
-            np.where(data.scored(), data.measured, np.nan),
-            before,
-            after,
-            data.sampled(phi),
-            "phi",
-            "1",
-            data.slices,
-            data.record.astype(np.int64),
-            names if len(set(names)) == len(names) else data.sources,
-            data.sample_period_s,
-            floor_rms=float(d.gap.floor_rms),
-            ar=np.array(d.noise.ar) if d.noise.coloured else np.zeros(0),
-            cycle_hz=1.0 / data.surge_s,
-        )
-    )
-
-
 def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
     """Return the characteristic of a fit over the range of φ, as a slow sweep would draw it.
 
     A model with two branches gives one curve while φ falls and one while it rises; one whose
     characteristic moves with time or corrected speed gives it at both ends of what was recorded.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    data : LagData
-        What it was fitted to.
     """
     names = fit.structure.names
     clock = clock_s(data)
@@ -112,20 +60,13 @@ def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
     return tuple(curve for state in states for curve in _sweep(fit, data, *state))
 
 
-def contributions(d: LagDiagnosis) -> dict[str, float]:
-    """Return the rms of what each effect adds to the free run of the model after.
+def contributions(fit: Fit, data: LagData) -> dict[str, float]:
+    """Return the rms of what each effect adds to the free run of a model.
 
     It is the free run with everything, less the same with this effect's amplitude at zero, over
     the scored rows that no longer show how a run was started.
-
-    Parameters
-    ----------
-    d : LagDiagnosis
-        The diagnosis; empty where nothing was added, and on whole runs without what only other
-        rows than the scored ones show.
     """
-    fit = d.after
-    data = _with_state_of(fit, d.data)
+    data = with_own_state(data, fit)
     full, shown = fit.output(data), _settled(fit, data)
     out = {}
     for effect in fit.structure.effects:
@@ -134,9 +75,44 @@ def contributions(d: LagDiagnosis) -> dict[str, float]:
     return out
 
 
-def _with_state_of(fit: Fit, data: LagData) -> LagData:
-    unnamed = any(effect.unnamed for effect in fit.structure.effects)
-    return with_state(data, fit) if unnamed else data
+def records_document(data: LagData) -> list[dict[str, Any]]:
+    """Return what the JSON says of the records."""
+    time_s = data.sampled(data["time_s"])
+    out = []
+    for number, source in enumerate(data.sources):
+        rows = data.record == number
+        parts = {
+            name: int(np.count_nonzero(rows & data.scored(part)))
+            for name, part in (("fitted", TRAIN), ("later_time", LATER), ("other_record", OTHER))
+        }
+        out.append(
+            {
+                "source": source,
+                "from_s": time_s[rows].min(),
+                "to_s": time_s[rows].max(),
+                "sample_rate_hz": 1.0 / data.sample_period_s,
+                "rows": parts,
+            }
+        )
+    return out
+
+
+def model_document(fit: Fit, data: LagData) -> dict[str, Any]:
+    """Return what the JSON says of a fitted model."""
+    terms = fit.structure.terms
+    return {
+        "equation": model_equation(fit),
+        "time_constant_s": fit.tau_s,
+        "terms": [
+            {"name": name, "coefficient": value}
+            for name, value in zip(terms, fit.coefficients, strict=False)
+        ],
+        "effects": list(fit.structure.names),
+        "characteristic": [
+            {"label": curve.label, "phi": curve.phi.tolist(), "psi_p": curve.value.tolist()}
+            for curve in steady_curves(fit, data)
+        ],
+    }
 
 
 def _settled(fit: Fit, data: LagData) -> NDArray[np.bool_]:

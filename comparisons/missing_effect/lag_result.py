@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
 from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,22 @@ from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
 from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_curves import (
+    contributions,
+    model_document,
+    records_document,
+)
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.quantities import chance, label_of
+from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.quantities import (
+    chance,
+    label_of,
+    model_equation,
+    plain_name,
+    tau_ms,
+)
 from comparisons.missing_effect.results import (
     SIZE,
     CandidateRow,
@@ -29,8 +43,40 @@ from comparisons.missing_effect.results import (
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
+from comparisons.missing_effect.where import where_of
+from comparisons.missing_effect.where_rows import Residuals, Where
 from comparisons.missing_effect.whole_run_spectra import RippleLine
+from surge_core.rounding import significant
 from surge_core.types import FloatArray
+
+_DRIFTS = ("facility_heating", "sensitivity_drift", "bias_drift", "speed_droop")
+_SLOPE = (
+    "the slope of the characteristic hardly changes over the flow that was swept, so that both act "
+    "on dφ/dt"
+)
+_BRANCHES = "both change the characteristic where φ hardly ever is"
+_WHY_ALIKE = {
+    frozenset(("transport_delay", "second_order_lag")): "both move the phase alike, and part only "
+    "in the second order of their time",
+    frozenset(("transport_delay", "flow_inertia")): _SLOPE,
+    frozenset(("second_order_lag", "flow_inertia")): _SLOPE,
+    frozenset(("reverse_flow_branch", "characteristic_shape")): _BRANCHES,
+    frozenset(("reverse_flow_branch", "hysteresis")): _BRANCHES,
+    **{
+        frozenset(pair): "both are slow drifts, and only a reading of temperature, speed or zero "
+        "parts them"
+        for pair in combinations(_DRIFTS, 2)
+    },
+}
+_TAU_MEANING = {
+    "amplitude_dependent_lag": "that at the mean amplitude",
+    "flow_dependent_lag": "that above the threshold",
+    "asymmetric_lag": "the mean of rising and falling flow",
+}
+# A τ that moves by less is said to stay.
+_LEAST_CHANGE = 5e-4
+_NOISE = ("sigma", "innovation", "ar", "heavy_share", "coloured", "heavy_tailed")
+_LEFTOVER = ("gain", "degrees", "p_value", "structured")
 
 
 @dataclass(frozen=True)
@@ -136,6 +182,163 @@ class LagDiagnosis(Diagnosis):
     def floor(self) -> tuple[float, ...]:
         """The measurement noise of ψ'."""
         return (self.gap.floor_rms,)
+
+    @property
+    def of_series(self) -> bool:
+        """Limits and separating measurements are known."""
+        return True
+
+    @property
+    def acts_unscored(self) -> bool:
+        """Whether the loss in reversed flow is all: the τ to quote is that of the comparison."""
+        return self.reverse_loss is not None and len(self.missing) == 1
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """The equation of the model before and, where something was added, after."""
+        models = (f"before: {model_equation(self.before)}", f"after:  {model_equation(self.after)}")
+        return models if self.missing else models[:1]
+
+    @property
+    def tau_said(self) -> tuple[str, str]:
+        """τ as it is, and where it went."""
+        row = self.parameters[0]
+        now = tau_ms(row.after, row.after_stderr)
+        meaning = ", ".join(_TAU_MEANING[name] for name in self.names if name in _TAU_MEANING)
+        means = f" ({meaning})" if meaning else ""
+        if abs(row.after / row.before - 1.0) < _LEAST_CHANGE:
+            return now, f"τ stays at {now}{means}"
+        return now, f"τ goes from {tau_ms(row.before, row.before_stderr)} to {now}{means}"
+
+    @property
+    def noise_said(self) -> str:
+        """What the noise is like."""
+        noise, floor = self.noise, self.gap.floor_rms
+        if self.whole_runs:
+            return (
+                f"The noise of the averaged ψ' is {significant(floor, 3)} rms; the model leaves "
+                f"{noise.sigma / floor:.1f} times that: noise near zero flow, calibration, and "
+                "what no effect here explains."
+            )
+        size = f"rms {significant(noise.sigma, 3)} in ψ'"
+        if not noise.coloured and not noise.heavy_tailed:
+            return f"The noise is white and about normal, {size}."
+        out = [f"The noise has {size}{', outliers aside' if noise.heavy_tailed else ''}."]
+        if noise.coloured:
+            lags = ", ".join(f"{a:.2f}" for a in noise.ar)
+            out.append(
+                f"An error depends on those before it (autoregression {lags}), so that rows count "
+                "for less than their number."
+            )
+        if noise.heavy_tailed:
+            out.append(
+                f"{100.0 * noise.heavy_share:.1f} % of the errors lie beyond three standard "
+                "deviations, where the normal law has 0.3 %: they were held down."
+            )
+        out.append("An estimator that takes noise for white and normal states wrong errors.")
+        return " ".join(out)
+
+    @property
+    def structure_said(self) -> str:
+        """What a test of all effects and open terms together finds in what is left."""
+        left = self.leftover
+        if not left.degrees:
+            return ""
+        tested = f"{left.degrees} columns of effects and open terms together"
+        if left.structured:
+            return (
+                f"Yet {tested} would win {left.gain:.0f} log-units (p {chance(left.p_value)}): "
+                "this is not “nothing missing”, it is something without a name."
+            )
+        return f"What {tested} could still win is chance (p {chance(left.p_value)})."
+
+    @property
+    def ledger_said(self) -> tuple[str, ...]:
+        """Which effects were not fitted, and what was looked for in another way."""
+        out = []
+        if skipped := ", ".join(effect.name for effect in self.not_fitted):
+            out.append(
+                f"Tested and not worth a fit, since a score test promised too little: {skipped}."
+            )
+        if self.whole_runs:
+            line = f"found at {self.ripple.frequency_hz:.4g} Hz" if self.ripple else "none found"
+            out.append(
+                "A second pattern of cells was looked for as a line of the rake differences that "
+                f"no side line of the first has for a partner: {line}."
+            )
+        return tuple(out)
+
+    def alias_said(self, item: MissingEffect) -> str:
+        """Return why the names of a set look alike, and τ under each."""
+        reason = _WHY_ALIKE.get(frozenset(item.alias_set), "")
+        tau = ", ".join(
+            f"{plain_name(name)} {tau_ms(self.tau_by_alias_s[name])}"
+            for name in item.alias_set
+            if name in self.tau_by_alias_s
+        )
+        return f"{f': {reason}' if reason else ''}. τ under each name: {tau}"
+
+    @cached_property
+    def wheres(self) -> tuple[Where, ...]:
+        """Where the residuals of the fits to all rows stand out of the noise."""
+        data, noise = self.data, self.noise
+        names = tuple(PurePath(source).name for source in data.sources)
+        before, after = (
+            data.measured - fit.errors(with_own_state(data, fit), Metric())
+            for fit in (self.before, self.after)
+        )
+        residuals = Residuals(
+            "psi_p",
+            "1",
+            data.sampled(data["time_s"]),
+            np.where(data.scored(), data.measured, np.nan),
+            before,
+            after,
+            data.sampled(data.get("phi_averaged", data["phi"])),
+            "phi",
+            "1",
+            data.slices,
+            data.record.astype(np.int64),
+            names if len(set(names)) == len(names) else data.sources,
+            data.sample_period_s,
+            floor_rms=float(self.gap.floor_rms),
+            ar=np.array(noise.ar) if noise.coloured else np.zeros(0),
+            cycle_hz=1.0 / data.surge_s,
+        )
+        return (where_of(residuals),) if residuals.enough else ()
+
+    def own_document(self) -> dict[str, Any]:
+        """Return what the JSON of a lag has beside that of all."""
+        adds, tau = contributions(self.after, self.data), self.parameters[0]
+        return {
+            "missing": [
+                {"port": item.place["port"], "contribution_rms": adds.get(item.effect)}
+                for item in self.missing
+            ],
+            "time_constant_s": {
+                "before": tau.before,
+                "after": tau.after,
+                "by_alias": dict(self.tau_by_alias_s),
+                "before_stderr": tau.before_stderr,
+                "after_stderr": tau.after_stderr,
+            },
+            "whole_runs": self.whole_runs,
+            "noise": _some(self.noise, _NOISE),
+            "leftover": _some(self.leftover, _LEFTOVER),
+            "rounds": [
+                {
+                    "model": list(step.bench.fit.structure.names),
+                    "added": None if step.winner is None else [e.name for e in step.winner.added],
+                    "leftover": _some(step.leftover, _LEFTOVER),
+                }
+                for step in self.rounds
+            ],
+            "records": records_document(self.data),
+            "model": {
+                "before": model_document(self.before, self.data),
+                "after": model_document(self.after, self.data),
+            },
+        }
 
     @cached_property
     def runs(self) -> tuple[CheckRun, ...]:
@@ -285,3 +488,7 @@ def _refused_on(e: Evidence) -> tuple[str, ...]:
     if not rows and not by_share and not e.z > LEAST_Z:
         rows.append("held-out blocks")
     return tuple(rows)
+
+
+def _some(value: object, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}

@@ -11,10 +11,8 @@ import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.quantities import numbers_of, open_words, plain_name, tau_ms
+from comparisons.missing_effect.quantities import numbers_of, plain_name, tau_ms
 from comparisons.missing_effect.scales import scale_of, typical
-from comparisons.missing_effect.telling import telling_run, telling_stretch
-from comparisons.missing_effect.where_panels import draw_over_signal, draw_spectrum
 from comparisons.missing_effect.where_words import SYMBOLS
 from comparisons.page.style import (
     ACCENT,
@@ -50,6 +48,10 @@ LONGEST_LABEL, LONGEST_NAME, LONGEST_LINE = 44, 30, 130
 HEADING_LETTERS, HEADING_SIZE = 72, 14.0
 # Errors further apart than this are drawn on a logarithmic axis.
 LOGARITHMIC_RATIO = 8.0
+# Periods and rows of a stretch that is drawn, and how many are compared.
+PERIODS, FEWEST_ROWS, MOST_ROWS = 6.0, 100, 1800
+STARTS = 64
+MOST_SWINGS = 1e6
 LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
 _HEADINGS = {
     "nothing_missing": "Nothing missing",
@@ -58,15 +60,13 @@ _HEADINGS = {
 }
 
 
-def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
+def draw_diagnosis(d: Diagnosis) -> Figure:
     """Draw a diagnosis in one picture.
 
     Parameters
     ----------
     d : Diagnosis
         Of a lag or of a user's model.
-    wheres : tuple of Where
-        Where its residuals stand out.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
     said = figure.add_subplot(grid[0])
     said.set_axis_off()
     said.text(0.0, 0.0, "\n".join(lines), fontsize=9, color=INK, va="bottom")
-    run = telling_run(d)
+    run, wheres = d.telling_run, d.wheres
     rows, n = telling_stretch(run), min(len(run.outputs), COLUMNS)
     tops, lows = (grid[i].subgridspec(1, n) for i in (1, 2))
     for j in range(n):
@@ -103,33 +103,78 @@ def draw_diagnosis(d: Diagnosis, wheres: tuple[Where, ...]) -> Figure:
     if wheres:
         middle = grid[3].subgridspec(1, 2, width_ratios=[1.1, 1.0])
         left, right = (dress(figure.add_subplot(middle[i])) for i in range(2))
-        draw_spectrum(left, wheres[0], two=bool(d.missing))
+        _spectrum(left, wheres[0], two=bool(d.missing))
         legend(left, loc="best", fontsize=TINY, handlelength=2.2)
-        draw_over_signal(right, wheres[0], two=bool(d.missing))
+        _over_signal(right, wheres[0], two=bool(d.missing))
     bottom = grid[4].subgridspec(1, 2)
     _candidates(figure.add_subplot(bottom[0]), d)
     last = dress(figure.add_subplot(bottom[1]))
     if isinstance(d, LagDiagnosis):
         _curves(last, d)
     else:
-        draw_errors(last, d, wheres[0].of.output if wheres else next(iter(d.outputs)))
+        _errors(last, d, wheres[0].of.output if wheres else next(iter(d.outputs)))
     if reverse is not None:
         _reverse(dress(figure.add_subplot(grid[5])), reverse)
     return figure
 
 
-def draw_errors(ax: Axes, d: Diagnosis, output: str) -> None:
-    """Draw the rms error of one output in every run: before and after, joined by a bar.
+def _spectrum(ax: Axes, where: Where, *, two: bool) -> None:
+    """Draw the power density of the measured output and of the residuals."""
+    rows = where.frequency
+    at = np.array([math.sqrt(max(row.low_hz, 0.5 * rows[0].high_hz) * row.high_hz) for row in rows])
+    curves = [("measured_psd", MEASURED, "measured", 2.4)]
+    curves += [("before_psd", BEFORE, "residual before", 1.5)] if two else []
+    curves.append(("after_psd", AFTER, "residual after" if two else "residual", 1.5))
+    for key, colour, label, width in curves:
+        values = np.array([getattr(row, key) for row in rows])
+        ax.loglog(at, values, color=colour, lw=width, marker=".", ms=4, label=label)
+    floor = np.array([row.before_psd / row.ratio for row in rows])
+    if np.all(np.isfinite(floor)):
+        ax.loglog(at, floor, color=QUIET, lw=1.0, ls=(0, (5, 2)), label="noise")
+    unit = where.of.unit
+    squared = "1" if unit == "1" else f"{unit}²" if unit.isalpha() else f"({unit})²"
+    ax.set_ylabel(printable(f"power density [{squared}/Hz]"), fontsize=SMALL)
+    ax.set_xlabel("frequency [Hz]", fontsize=9)
+    ax.set_title(f"{_shown(where.of.output)}: spectrum", fontsize=9, color=INK, loc="left")
 
-    Parameters
-    ----------
-    ax : Axes
-        Where to.
-    d : Diagnosis
-        The diagnosis.
-    output : str
-        Name of the output; dashed, its noise.
-    """
+
+def _over_signal(ax: Axes, where: Where, *, two: bool) -> None:
+    """Draw the mean residual with two standard errors in ranges of a signal."""
+    both = [("before", BEFORE, "o")] * two + [("after", AFTER, "s")]
+    cells = {key: [getattr(row, key) for row in where.flow] for key, _, _ in both}
+    scale = scale_of(where.of.unit, [abs(c["any"].mean) for own in cells.values() for c in own])
+    over = scale_of(where.of.signal_unit, [edge for r in where.flow for edge in (r.low, r.high)])
+    at = over.factor * np.array([row.at for row in where.flow])
+    ax.axhline(0.0, color=INK, lw=0.7)
+    for key, colour, marker in both:
+        mean = scale.factor * np.array([c["any"].mean for c in cells[key]])
+        error = scale.factor * np.array([c["any"].stderr for c in cells[key]])
+        look: dict[str, Any] = {
+            "color": colour,
+            "marker": marker,
+            "ms": 3.5,
+            "lw": 1.1,
+            "elinewidth": 0.9,
+        }
+        ax.errorbar(at, mean, 2.0 * np.nan_to_num(error), capsize=2.0, **look)
+        for way, sign in (("rising", "^"), ("falling", "v")):
+            part = scale.factor * np.array([c[way].mean for c in cells[key]])
+            ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
+    ax.set_ylabel(printable(f"mean residual {scale.bracketed}"), fontsize=SMALL)
+    name = _shown(where.of.signal)
+    simulated = " simulated" if where.of.simulated else ""
+    ax.set_xlabel(f"{name}{simulated} {printable(over.bracketed)}", fontsize=9)
+    ax.locator_params(axis="x", nbins=6)
+    title = f"{_shown(where.of.output)}: mean residual over {name}"
+    ax.set_title(title, fontsize=9, color=INK, loc="left")
+
+
+def _shown(name: str) -> str:
+    return printable(SYMBOLS.get(name, name), LONGEST_NAME)
+
+
+def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
+    """Draw the rms error of one output in every run, before and after joined by a bar."""
     runs, j = d.runs[:MOST_RUNS], list(d.outputs).index(output)
     before, after = (np.array([r[j] for r in sizes]) for sizes in _sizes(runs))
     scale = scale_of(d.outputs[output], [typical([*before, *after])])
@@ -250,7 +295,7 @@ def _candidates(ax: Axes, d: Diagnosis) -> None:
         ax.barh(place + 0.2, max(size, 0.004 * largest), height=0.36, **_look(row))
         weight = "bold" if row.chosen else "normal"
         word = {"alias": " (alias)", "refused": " (refused)"}.get(row.fate, "")
-        text = printable(_name(row), LONGEST_LABEL) + word
+        text = printable(row.shown, LONGEST_LABEL) + word
         ax.text(0.0, place - 0.02, text, va="bottom", fontsize=SMALL, fontweight=weight)
         tau = f", τ {1e3 * row.time_constant_s:.4g} ms" if row.time_constant_s > 0.0 else ""
         number = f"{significant(size, 3) if abs(size) < 100.0 else f'{size:.0f}'}{tau}"
@@ -260,10 +305,6 @@ def _candidates(ax: Axes, d: Diagnosis) -> None:
     ax.set_ylim(max(len(rows), 4) - 0.45, -0.55)
     ax.set_yticks([])
     ax.grid(False)
-
-
-def _name(row: CandidateRow) -> str:
-    return plain_name(open_words(row.name) if "port" in row.place else row.label)
 
 
 def _rows_drawn(d: Diagnosis) -> list[CandidateRow]:
@@ -309,3 +350,42 @@ def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
     ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
     ax.set_title("reverse flow branch, where it acts", **LEFT)
     legend(ax, loc="upper left", fontsize=TINY)
+
+
+def telling_stretch(run: CheckRun) -> slice:
+    """Return a stretch of some periods over which what was added changes most.
+
+    Where nothing was added, the one on which the residual is largest.
+
+    Parameters
+    ----------
+    run : CheckRun
+        A run.
+    """
+    measured = run.measured[run.settle :]
+    n = measured.shape[0]
+    level = measured - np.nanmean(measured, axis=0)
+    period = max(_period_rows(column) for column in np.nan_to_num(level).T)
+    length = int(min(max(PERIODS * period, FEWEST_ROWS), MOST_ROWS, n))
+    before, after = (_squares(run, before=which) for which in (True, False))
+    won = before - after if np.any(before != after) else before
+    total = np.concatenate([[0.0], np.cumsum(won)])
+    starts = np.unique(np.linspace(0, n - length, STARTS).astype(int))
+    best = int(starts[np.argmax(total[starts + length] - total[starts])])
+    return slice(run.settle + best, run.settle + best + length)
+
+
+def _squares(run: CheckRun, *, before: bool) -> FloatArray:
+    errors = run.errors(before=before) / run.swing
+    # A run that went away is as telling as it can be; its squares need not overflow.
+    errors = np.clip(np.nan_to_num(errors, nan=0.0), -MOST_SWINGS, MOST_SWINGS)
+    return np.asarray(np.sum(errors**2, axis=1))
+
+
+def _period_rows(values: FloatArray) -> float:
+    """Return the rows of a period at the mean frequency of a signal."""
+    power = np.abs(np.fft.rfft(values - np.mean(values))) ** 2
+    if not power.sum() > 0.0:
+        return 1.0
+    mean_bin = float(np.arange(power.size) @ power / power.sum())
+    return values.size / max(mean_bin, 1.0)

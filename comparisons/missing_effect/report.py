@@ -1,40 +1,32 @@
-"""A diagnosis as a page: verdict, where, errors, what was added, who was tried, what is open."""
+"""A diagnosis as parts: verdict, what was added, errors, where, who was tried, what is open.
+
+One list for the page and the terminal, which leaves out the picture and the ends of long tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.lag_words import noise_words
-from comparisons.missing_effect.quantities import model_equation, plain_name
-from comparisons.missing_effect.results import CLEAR
-from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.telling import telling_run, telling_stretch, wheres_of
-from comparisons.missing_effect.terminal import (
-    TOO_SHORT,
-    candidate_grid,
-    legend_of,
-    on_records,
-    timing_words,
-)
+from comparisons.missing_effect.quantities import chance
+from comparisons.missing_effect.results import CLEAR, CandidateRow
 from comparisons.missing_effect.where_words import describe
-from comparisons.missing_effect.words import (
-    confirm_words,
-    effect_words,
-    ledger_words,
-    verdict_words,
-)
+from comparisons.missing_effect.words import effect_words, ledger_words, verdict_words
 from comparisons.page.blocks import Block, Bullets, Part, Picture, Table, Words
 from comparisons.page.html import render_page
-from surge_core.rounding import significant
+from surge_core.display import Grid
+from surge_core.rounding import log_units, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.results import Diagnosis
-    from comparisons.missing_effect.where_rows import Where
 
+# Of a long ranking the best are printed; --json holds all.
+ROWS_PRINTED = 8
 _PROSE = ("effect", "adds", "candidate")
+TOO_SHORT = "The records are too short to say where, or could not be simulated."
+NONE_FITTED = "No effect promised enough to be worth a fit."
 HOW = (
     "Each effect is laid wherever it may act and fitted together with all parameters of the model. "
     "It is accepted only where the fitted rows and those held out both speak for it, the search "
@@ -52,10 +44,17 @@ READING = (
     "a rising (up) and a falling (down) signal: a bend is a missing characteristic, two branches "
     "are a lag, a friction or a hysteresis. Bottom: what competed, the alias set hatched or pale."
 )
+_REFUSED = {
+    "fitted rows": "fitted",
+    "later time": "held out",
+    "other record": "other",
+    "held-out blocks": "z",
+    "share": "explains",
+}
 
 
 def diagnosis_parts(
-    d: Diagnosis, *, limits: Any = None, separation: Any = None
+    d: Diagnosis, *, limits: Any = None, separation: Any = None, brief: bool = False
 ) -> tuple[Part, ...]:
     """Return the parts of a report section on what is missing.
 
@@ -65,25 +64,32 @@ def diagnosis_parts(
         Of a lag or of a user's model.
     limits, separation : object, optional
         With ``lines``: what would have been named, and what would separate an alias set.
+    brief : bool
+        Without the picture, the equations of the model and the ends of long tables.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
-    wheres = wheres_of(d)
+    where = [said for one in d.wheres for said in describe(one, two=bool(d.missing))]
+    on = f", on {', '.join(d.wheres[0].of.record_names)}" if d.wheres else ""
+    noise = (Words(d.noise_said),) if d.verdict != "noise_model_wrong" and d.noise_said else ()
     parts = (
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
-            (Words(words, "plain" if d.verdict in CLEAR else "caution"), _picture(d, wheres)),
+            (
+                Words(words, "plain" if d.verdict in CLEAR else "caution"),
+                *(() if brief else (_picture(d),)),
+            ),
         ),
-        Part(
-            "Errors before and after",
-            (Table.of(d.errors_grid()),),
-        ),
-        Part(f"Where the model and the measurement part{on_records(wheres)}", _where(d, wheres)),
         Part("What was added", _added(d)),
-        Part("Parameters of the model", _parameters(d)),
-        Part("Effects tried", _tried(d)),
+        Part("Parameters of the model", _parameters(d, brief)),
+        Part("Errors before and after", (Table.of(d.errors_grid()),)),
+        Part(
+            f"Where the model and the measurement part{on}",
+            (Bullets(tuple(where) or (TOO_SHORT,)), *noise),
+        ),
+        Part("Effects tried", _tried(d, brief)),
         Part("What is open, absent or out of reach", (Bullets(ledger_words(d)),)),
         Part("Limits", _lines(limits)),
-        Part("What would separate an alias set", _lines(separation)),
+        Part("What would separate them", _lines(separation)),
     )
     first, *others = (
         part for part in parts if any(getattr(block, "items", True) for block in part.blocks)
@@ -124,75 +130,110 @@ def diagnosis_report(
     )
 
 
-def _picture(d: Diagnosis, wheres: tuple[Where, ...]) -> Picture:
-    from comparisons.missing_effect.plots import draw_diagnosis
+def _picture(d: Diagnosis) -> Picture:
+    from comparisons.missing_effect.plots import draw_diagnosis, telling_stretch
 
-    run = telling_run(d)
+    run, gap = d.telling_run, d.gap
     rows = telling_stretch(run)
     first, last = run.time_s[rows.start], run.time_s[rows.stop - 1]
-    gap = d.gap
     fell = f"{significant(gap.before_rms, 3)} before and " if d.missing else ""
     after = " after" if d.missing else ""
     return Picture.of(
         "The diagnosis in one picture",
-        draw_diagnosis(d, wheres),
+        draw_diagnosis(d),
         f"Measured and simulated outputs of {run.title} from {first:.4g} to {last:.4g} s; rms "
         f"error {fell}{significant(gap.after_rms, 3)}{after}.",
         READING,
     )
 
 
-def _where(d: Diagnosis, wheres: tuple[Where, ...]) -> tuple[Block, ...]:
-    said = tuple(words for where in wheres for words in describe(where, two=bool(d.missing)))
-    return (Bullets(said or (TOO_SHORT,)),)
-
-
 def _added(d: Diagnosis) -> tuple[Block, ...]:
     if not d.missing:
-        return (Words("Nothing was added."),)
-    said = tuple(
-        words for item in d.missing for words in (effect_words(item), *confirm_words(item))
-    )
-    doubts = tuple(
-        f"{plain_name(item.label)}: {why}" for item in d.missing for why in d.doubts_of(item)
-    )
-    return (
-        Table.of(d.effect_grid(), prose=_PROSE),
-        Bullets(said),
-        *((Bullets(doubts, "caution", "Why a name is not firm"),) if doubts else ()),
-    )
+        return ()
+    said = tuple(words for item in d.missing for words in effect_words(item))
+    return (Table.of(d.effect_grid(), prose=_PROSE), Bullets(said))
 
 
-def _parameters(d: Diagnosis) -> tuple[Block, ...]:
+def _parameters(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
     blocks: list[Block] = []
-    if isinstance(d, LagDiagnosis):
-        models = [f"before: {model_equation(d.before)}", f"after:  {model_equation(d.after)}"]
-        blocks.append(Words("\n".join(models[: 2 if d.missing else 1]), "code"))
+    if d.equations and not brief:
+        blocks.append(Words("\n".join(d.equations), "code"))
     if d.parameters:
         marks = tuple("failed" if row.at_bound else "" for row in d.parameters)
         blocks.append(replace(Table.of(d.parameter_grid()), marks=marks))
-    if isinstance(d, SystemDiagnosis):
-        blocks += [Words(words) for words in [timing_words(d)] if words]
-    if isinstance(d, LagDiagnosis):
-        blocks.append(Words(noise_words(d)))
+    if d.fit_said:
+        blocks.append(Words(d.fit_said))
     return tuple(blocks)
 
 
-def _tried(d: Diagnosis) -> tuple[Block, ...]:
-    rows = [row for row in d.candidates if row.fitted]
-    twins = isinstance(d, LagDiagnosis) and d.whole_runs
-    if not rows:
-        return (Words("No effect promised enough to be worth a fit."),)
-    marks = tuple("best" if row.chosen or row.alias else "" for row in rows)
-    more = len(d.candidates) - len(rows)
-    left = f" {more} more promised too little to be fitted."
-    return (
-        Words(HOW_TWINS if twins else HOW),
-        replace(Table.of(candidate_grid(rows), prose=_PROSE), marks=marks),
-        Words(f"{legend_of(rows)}{left * (more > 0)}", "quiet"),
-    )
+def _tried(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
+    fitted = [row for row in d.candidates if row.fitted]
+    if not fitted:
+        return (Words(NONE_FITTED),)
+    if not brief:
+        marks = tuple("best" if row.chosen or row.alias else "" for row in fitted)
+        left = f" {len(d.candidates) - len(fitted)} more promised too little to be fitted."
+        more = left if len(d.candidates) > len(fitted) else ""
+        return (
+            Words(HOW_TWINS if d.whole_runs else HOW),
+            replace(Table.of(_candidate_grid(fitted), prose=_PROSE), marks=marks),
+            Words(_legend(fitted) + more, "quiet"),
+        )
+    kept: list[CandidateRow] = []
+    for number in dict.fromkeys(row.round for row in fitted):
+        own = [row for row in fitted if row.round == number]
+        kept += [r for i, r in enumerate(own) if i < ROWS_PRINTED or r.chosen or r.alias]
+    rest = len(d.candidates) - len(kept)
+    said = [Words(f"and {rest} more (--json holds all)", "quiet")] if rest else []
+    return (Table.of(_candidate_grid(kept)), *said, Words(_legend(kept), "quiet"))
 
 
 def _lines(found: Any) -> tuple[Block, ...]:
     # The lines may be those of a table.
     return () if found is None else (Words("\n".join(found.lines), "code"),)
+
+
+def _candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
+    """Return a line for each candidate of a diagnosis, without columns that none fills."""
+    by_share = any(math.isfinite(row.share) for row in rows)
+    columns: dict[str, Callable[[CandidateRow], str]] = {
+        "round": lambda row: str(row.round),
+        "candidate": lambda row: row.shown,
+        "promised": lambda row: log_units(row.promised, ""),
+        "explains": lambda row: _text(100.0 * row.share, "{:.1f} %"),
+        "asked": lambda row: _text(100.0 * row.least_share, "{:.0f} %"),
+        "score": lambda row: "" if by_share else log_units(row.score, ""),
+        "fitted": lambda row: "" if by_share else log_units(row.train_gain, ""),
+        "held out": lambda row: log_units(row.later_gain, ""),
+        "other": lambda row: log_units(row.other_record_gain, ""),
+        "z": lambda row: _text(row.held_out_z, "{:.1f}"),
+        "p": lambda row: "" if by_share or math.isnan(row.p_value) else chance(row.p_value),
+        "τ [ms]": lambda row: _text(1e3 * row.time_constant_s, "{}"),
+        "fate": _fate,
+    }
+    cells = {head: [cell(row) for row in rows] for head, cell in columns.items()}
+    kept = {head: column for head, column in cells.items() if any(column)}
+    header = tuple(kept)
+    words = frozenset((header.index("candidate"), header.index("fate")))
+    return Grid("Effects tried", header, tuple(zip(*kept.values(), strict=True)), words)
+
+
+def _legend(rows: Sequence[CandidateRow]) -> str:
+    """Say what the columns of the candidates are."""
+    gains = "held out, other: gains in log-units there; z of the held-out gain."
+    if any(math.isfinite(row.share) for row in rows):
+        return f"Share of the squared errors that it explains, and the share asked for; {gains}"
+    promised = any(math.isfinite(row.promised) for row in rows)
+    first = "Promised by a score test before the fit; score" if promised else "Score"
+    return f"{first}, fitted, {gains.removesuffix('.')}; p with all that was searched."
+
+
+def _text(value: float, form: str) -> str:
+    if not math.isfinite(value):
+        return ""
+    return significant(value) if form == "{}" else form.format(value)
+
+
+def _fate(row: CandidateRow) -> str:
+    on = ", ".join(_REFUSED[name] for name in row.refused_on if name in _REFUSED)
+    return f"refused: {on}" if row.fate == "refused" and on else row.fate

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.quantities import number_rows, plain_name
+from comparisons.missing_effect.quantities import number_rows, open_words, plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.scales import scale_of, typical
+from comparisons.missing_effect.where_rows import Where
 from comparisons.missing_effect.where_words import SYMBOLS
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import bracketed, significant
@@ -237,6 +238,11 @@ class CandidateRow:
     least_share: float = math.nan
 
     @property
+    def shown(self) -> str:
+        """Its name and place; the name of a lag's says by itself where it acts."""
+        return plain_name(open_words(self.name) if "port" in self.place else self.label)
+
+    @property
     def fitted(self) -> bool:
         """Whether it promised enough to be fitted."""
         return self.fate != "not fitted"
@@ -304,6 +310,67 @@ class Diagnosis(Displayed):
         def title(self) -> str:
             """What was diagnosed."""
 
+        @property
+        def wheres(self) -> tuple[Where, ...]:
+            """Where the residuals of each output stand out, the one missed most first.
+
+            Empty where the rows are too few or the run could not be simulated.
+            """
+
+        def own_document(self) -> dict[str, Any]:
+            """Return what the JSON of this kind has beside that of all."""
+
+    # What one kind has to say and another has not.
+    @property
+    def of_series(self) -> bool:
+        """Whether limits and separating measurements can be asked for."""
+        return False
+
+    @property
+    def whole_runs(self) -> bool:
+        """Whether the records were taken as whole runs, averaged over the stall cells."""
+        return False
+
+    @property
+    def acts_unscored(self) -> bool:
+        """Whether all that is missing acts where the runs are not scored."""
+        return False
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """The model before and after, in a line each."""
+        return ()
+
+    @property
+    def tau_said(self) -> tuple[str, str]:
+        """The time constant as it is, and where it went with what was added."""
+        return "", ""
+
+    @property
+    def fit_said(self) -> str:
+        """How inputs run between samples and how late each acts."""
+        return ""
+
+    @property
+    def noise_said(self) -> str:
+        """What the noise is like."""
+        return ""
+
+    @property
+    def structure_said(self) -> str:
+        """What a test of all effects together finds in what is left."""
+        return ""
+
+    @property
+    def ledger_said(self) -> tuple[str, ...]:
+        """Which effects were looked for in another way than by a fit."""
+        return ()
+
+    def alias_said(self, item: MissingEffect) -> str:
+        """Return why the names of a set look alike, or what would separate them."""
+        confirm = item.confirm.get(item.label, "")
+        return f"; what would: {confirm}" if confirm else ""
+
     @property
     def names(self) -> tuple[str, ...]:
         """First names of what is missing."""
@@ -320,6 +387,16 @@ class Diagnosis(Displayed):
         kinds = ("check", "left out", "held out", "fitted")
         found = ([run for run in self.runs if run.kind == kind] for kind in kinds)
         return tuple(next(runs for runs in found if runs))
+
+    @property
+    def telling_run(self) -> CheckRun:
+        """The run that the model before misses most, of those that say most."""
+
+        def missed(run: CheckRun) -> float:
+            share = float(np.sum((run.before_rms / run.swing) ** 2))
+            return share if math.isfinite(share) else -1.0
+
+        return max(self.proof, key=missed)
 
     def parameter(self, name: str) -> ParameterRow:
         """Return a parameter of the model by name."""

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 # More than this is no missing effect any more but another model.
 MOST_EFFECTS_ASKED = 6
 DEFAULT_EFFECTS = 4
+# A diagnosis says its progress at most so often beside the rounds: two fits.
+FITS = 2
 EXIT_DONE, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
 
 
@@ -49,108 +51,6 @@ def run_script(
         0: done, whatever the verdicts; 2: unusable input, said in one sentence on stderr; 130:
         interrupted.
     """
-    parser = _parser(most_effects)
-    arguments = parser.parse_args(argv)
-    try:
-        _run(diagnoses, arguments, parser.prog, argv)
-        sys.stdout.flush()
-    except InputError as error:
-        sys.stderr.write(f"{parser.prog}: {error}\n")
-        return EXIT_UNUSABLE
-    except KeyboardInterrupt:
-        sys.stderr.write(f"{parser.prog}: interrupted; files that were finished are whole\n")
-        return EXIT_INTERRUPTED
-    except OSError as error:
-        sys.stderr.write(f"{parser.prog}: {error.filename or 'output'}: {error.strerror}\n")
-        return EXIT_UNUSABLE
-    return EXIT_DONE
-
-
-def contents_of(
-    diagnoses: Mapping[str, SystemDiagnosis],
-    command: str,
-    json: Path | None,
-    report: Path | None,
-) -> list[tuple[str, Path, str]]:
-    """Return all that is to be written, before anything is: what it is, where, and the text.
-
-    Parameters
-    ----------
-    diagnoses : mapping of str to SystemDiagnosis
-        By name.
-    command : str
-        What was typed.
-    json, report : path or None
-        Targets.
-    """
-    out = []
-    if json:
-        from surge_core.files import to_strict_json
-
-        out.append(("numbers", json, to_strict_json(_document(diagnoses))))
-    if report:
-        from comparisons.missing_effect.report import diagnosis_report
-
-        out.append(("report", report, diagnosis_report(diagnoses, command)))
-    return out
-
-
-def steps_of(most_effects: int) -> int:
-    """Return how often a diagnosis tells its progress at most: two fits beside the rounds."""
-    return most_effects + 2
-
-
-def _run(
-    cases: Mapping[str, Case],
-    arguments: argparse.Namespace,
-    prog: str,
-    argv: Sequence[str] | None,
-) -> None:
-    from comparisons.missing_effect.systems.diagnosis import diagnose_model
-    from comparisons.missing_effect.terminal import diagnosis_text
-    from surge_core.files import check_apart, check_target, write_whole
-
-    if not cases:
-        raise InputError("diagnoses", expected="at least one", found="none")
-    targets = [path for path in (arguments.json, arguments.report) if path]
-    for path in targets:
-        check_target(path, (".html", ".htm") if path is arguments.report else ())
-    check_apart([], targets)
-    found: dict[str, SystemDiagnosis] = {}
-    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as listed:
-        for name, (model, fit, check) in cases.items():
-            found[name] = diagnose_model(
-                model,
-                fit,
-                check,
-                most_effects=arguments.max_effects,
-                progress=lambda words, name=name: listed(f"{name}: {words}"),  # type: ignore[misc]
-            )
-    command = " ".join([prog, *(sys.argv[1:] if argv is None else argv)])
-    contents = contents_of(found, command, arguments.json, arguments.report)
-    for _, path, content in contents:
-        write_whole(path, content)
-    several = len(found) > 1
-    texts = [
-        f"{name}\n\n{diagnosis_text(d)}" if several else diagnosis_text(d)
-        for name, d in found.items()
-    ]
-    lines = [*texts, *(f"{label}: {path}" for label, path, _ in contents)]
-    sys.stdout.write("\n\n".join(lines) + "\n")
-
-
-def _document(diagnoses: Mapping[str, SystemDiagnosis]) -> dict[str, Any]:
-    from comparisons.missing_effect.document import diagnosis_document, merged_test_rmse
-
-    documents = {name: diagnosis_document(d) for name, d in diagnoses.items()}
-    first = dict(next(iter(documents.values())))
-    if len(documents) > 1:
-        first["test_rmse"] = merged_test_rmse(diagnoses)
-        first["diagnoses"] = documents
-    return first
-
-
-def _parser(most_effects: int) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description="Diagnose what a model lacks against its measured records."
     )
@@ -165,4 +65,63 @@ def _parser(most_effects: int) -> argparse.ArgumentParser:
         metavar="N",
         help=f"add at most so many effects (default: {most_effects})",
     )
-    return parser
+    given = parser.parse_args(argv)
+    command = " ".join([parser.prog, *(sys.argv[1:] if argv is None else argv)])
+    code, said = EXIT_UNUSABLE, ""
+    try:
+        _run(diagnoses, given, command)
+        sys.stdout.flush()
+        return EXIT_DONE
+    except InputError as error:
+        said = str(error)
+    except KeyboardInterrupt:
+        code, said = EXIT_INTERRUPTED, "interrupted; files that were finished are whole"
+    except OSError as error:
+        said = f"{error.filename or 'output'}: {error.strerror}"
+    sys.stderr.write(f"{parser.prog}: {said}\n")
+    return code
+
+
+def _run(cases: Mapping[str, Case], given: argparse.Namespace, command: str) -> None:
+    from comparisons.missing_effect.report import diagnosis_report
+    from comparisons.missing_effect.systems.diagnosis import diagnose_model
+    from comparisons.missing_effect.terminal import diagnosis_text
+    from surge_core.files import check_apart, check_target, to_strict_json, write_whole
+
+    targets = [path for path in (given.json, given.report) if path]
+    for path in targets:
+        check_target(path, (".html", ".htm") if path is given.report else ())
+    check_apart([], targets)
+    found: dict[str, SystemDiagnosis] = {}
+    with shown_steps(len(cases) * (given.max_effects + FITS)) as listed:
+        for name, (model, fit, check) in cases.items():
+            found[name] = diagnose_model(
+                model,
+                fit,
+                check,
+                most_effects=given.max_effects,
+                progress=lambda words, name=name: listed(f"{name}: {words}"),  # type: ignore[misc]
+            )
+    # All is made before anything is written.
+    made = []
+    if given.json:
+        made.append(("numbers", given.json, to_strict_json(_document(found))))
+    if given.report:
+        made.append(("report", given.report, diagnosis_report(found, command)))
+    for _, path, content in made:
+        write_whole(path, content)
+    several = len(found) > 1
+    lines = [f"{name}\n\n" * several + diagnosis_text(d) for name, d in found.items()]
+    lines += [f"{label}: {path}" for label, path, _ in made]
+    sys.stdout.write("\n\n".join(lines) + "\n")
+
+
+def _document(diagnoses: Mapping[str, SystemDiagnosis]) -> dict[str, Any]:
+    from comparisons.missing_effect.document import diagnosis_document, merged_test_rmse
+
+    documents = {name: diagnosis_document(d) for name, d in diagnoses.items()}
+    first = dict(next(iter(documents.values())))
+    if len(documents) > 1:
+        first["test_rmse"] = merged_test_rmse(diagnoses)
+        first["diagnoses"] = documents
+    return first

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from comparisons.missing_effect.where_rows import (
+    FEWEST_SCORED,
     BandRow,
     Cell,
     Residuals,
@@ -36,7 +37,6 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Chance that anything at all is said to stand out of pure noise.
 FALSE_ALARM = 0.005
-FEWEST_SCORED = 40
 TIME_BLOCKS, FEWEST_BLOCKS = 40, 12
 SIGNAL_BINS = 20
 # A bin with fewer rows has no mean to speak of; it is joined to its neighbour.
@@ -68,7 +68,7 @@ def where_of(given: Residuals) -> Where:
         When fewer than 40 rows are scored.
     """
     scored = np.isfinite(given.measured)
-    if np.count_nonzero(scored) < FEWEST_SCORED:
+    if not given.enough:
         raise InputError(
             given.output,
             expected=f"at least {FEWEST_SCORED} scored rows",

@@ -12,6 +12,7 @@ import numpy as np
 from comparisons.missing_effect.where_spectrum import Line
 from surge_core.types import FloatArray, IntArray
 
+FEWEST_SCORED = 40
 PANELS = ("time", "frequency", "flow")
 # Which way the signal goes.
 WAYS = ("any", "falling", "rising")
@@ -69,6 +70,11 @@ class Residuals:
     floor_rms: float = math.nan
     ar: FloatArray = field(default_factory=lambda: np.zeros(0))
     cycle_hz: float = 0.0
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are rows enough to look at."""
+        return int(np.count_nonzero(np.isfinite(self.measured))) >= FEWEST_SCORED
 
 
 @dataclass(frozen=True)
@@ -258,34 +264,29 @@ class Where:
         }
 
     def _flow_json(self, row: SignalRow, way: str) -> dict[str, Any]:
-        one = row.before[way]
-        edges = {f"{self.of.signal}_from": row.low, f"{self.of.signal}_to": row.high}
+        models = (("before", row.before), ("after", row.after))
+        means = {
+            f"{model}_{part}": getattr(cells["any"], part)
+            for model, cells in models
+            for part in ("mean", "stderr")
+        }
+        means |= {f"{model}_{one}": cells[one].mean for model, cells in models for one in WAYS[1:]}
         return _plain(
             {
                 "signal": self.of.signal,
                 "simulated": self.of.simulated,
-                **edges,
+                f"{self.of.signal}_from": row.low,
+                f"{self.of.signal}_to": row.high,
                 "low": row.low,
                 "high": row.high,
                 "at": row.at,
                 "direction": way,
-                "mean": one.mean,
-                "stderr": one.stderr,
-                "z": one.z,
-                "n": one.n,
-                "before_mean": row.before["any"].mean,
-                "before_stderr": row.before["any"].stderr,
-                "after_mean": row.after["any"].mean,
-                "after_stderr": row.after["any"].stderr,
-                "before_rising": row.before["rising"].mean,
-                "before_falling": row.before["falling"].mean,
-                "after_rising": row.after["rising"].mean,
-                "after_falling": row.after["falling"].mean,
+                **asdict(row.before[way]),
+                **means,
             }
         )
 
 
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    unknown = {k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
-    out = {k: None if k in unknown else v for k, v in row.items()}
+    out = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
     return {k: list(v) if isinstance(v, tuple) else v for k, v in out.items()}

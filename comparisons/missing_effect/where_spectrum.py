@@ -69,13 +69,7 @@ class Power:
     resolution_hz: float
 
     def background(self, ratio: FloatArray) -> float:
-        """Return the rms of the quietest quarter of a ratio to the floor, over white noise's.
-
-        Parameters
-        ----------
-        ratio : ndarray of shape (m,)
-            This density over that of the floor.
-        """
+        """Return the rms of the quietest quarter of a ratio to the floor, over white noise's."""
         quiet = float(np.quantile(ratio, QUIET_SHARE))
         return math.sqrt(quiet / power_bound(QUIET_QUANTILE_Z, self.bin_freedom, known=True))
 
@@ -137,19 +131,7 @@ def tapered_power(
 def floor_density(
     frequency_hz: FloatArray, rms: float, ar: FloatArray, period_s: float
 ) -> FloatArray:
-    """Return the power density of noise of an autoregression.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray of shape (m,)
-        Where.
-    rms : float
-        Of the noise.
-    ar : ndarray of shape (p,)
-        e[k] = Σ aᵢ e[k−i] + white.
-    period_s : float
-        Sample period.
-    """
+    """Return the power density of noise e[k] = Σ aᵢ e[k−i] + white of some rms."""
     turn = np.exp(-2j * np.pi * period_s * np.outer(frequency_hz, np.arange(1, ar.size + 1)))
     shape = 1.0 / np.abs(1.0 - turn @ ar) ** 2
     mean = float(np.trapezoid(shape, frequency_hz)) * 2.0 * period_s
@@ -159,33 +141,25 @@ def floor_density(
 def log_bands(
     frequency_hz: FloatArray, resolution_hz: float
 ) -> list[tuple[float, float, BoolArray]]:
-    """Return bands that widen by a factor each, none narrower than the resolution.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray of shape (m,)
-        Bins.
-    resolution_hz : float
-        The narrowest band.
-    """
+    """Return bands that widen by a factor each, none narrower than the resolution."""
     step, highest = float(frequency_hz[1]), float(frequency_hz[-1])
     wanted = np.geomspace(1.5 * step, highest, BANDS)
     kept = [0.0]
     for edge in ((np.floor(wanted / step) + 0.5) * step).tolist():
         if min(edge - kept[-1], highest - edge) >= max(resolution_hz, step):
             kept.append(edge)
-    out = []
-    for low, high in pairwise([*kept, highest]):
-        inside = (frequency_hz >= low) & (frequency_hz <= high)
-        out.append((low, high, inside))
-    return out
+    return [
+        (low, high, (frequency_hz >= low) & (frequency_hz <= high))
+        for low, high in pairwise([*kept, highest])
+    ]
 
 
 def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: float) -> Line | None:
     """Return the line far above the main cycle that stands highest over its neighbourhood.
 
     Lines of several widths are looked for: stall cells begin in another phase in every episode,
-    which spreads their line over the inverse of its duration.
+    which spreads their line over the inverse of its duration. None where there are too few
+    frequencies or where a jump in each cycle would do.
 
     Parameters
     ----------
@@ -197,11 +171,6 @@ def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: fl
         Power of the quiet part over the floor, at least 1.
     cycle_hz : float
         Main frequency of what drives; below ten times that a line may be a harmonic.
-
-    Returns
-    -------
-    Line or None
-        None where there are too few frequencies or where a jump in each cycle would do.
     """
     frequency = power.frequency_hz
     lowest = FAR_ABOVE * cycle_hz if cycle_hz > 0.0 else 2.0 * power.resolution_hz
@@ -235,14 +204,7 @@ def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: fl
 def power_z(ratio: float, freedom: float, *, known: bool = False) -> float:
     """Return z of a mean power over its expectation, χ²_ν/ν, by Wilson and Hilferty (1931).
 
-    Parameters
-    ----------
-    ratio : float
-        Power over what is expected.
-    freedom : float
-        Degrees of freedom ν.
-    known : bool
-        Whether the expectation is known exactly; else to 5 %.
+    ``known`` says whether the expectation is known exactly; else it is to 5 %.
     """
     width = _width(freedom, known=known)
     return (math.cbrt(max(ratio, 0.0)) - (1.0 - width)) / math.sqrt(width)

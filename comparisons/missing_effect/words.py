@@ -6,22 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.lag_words import (
-    ALIAS_REASONS,
-    lag_ledger,
-    limit_words,
-    noise_words,
-    shape_words,
-    structure_words,
-    tau_words,
-)
 from comparisons.missing_effect.quantities import (
     PORT_WORDS,
     number_rows,
     plain_name,
     size_words,
-    tau_ms,
 )
 from comparisons.missing_effect.results import (
     CORRELATION,
@@ -43,6 +32,15 @@ _LEADS = {
     "noise_model_wrong": "No effect is missing that these records show, but their noise is not "
     "white and normal.",
 }
+_SEPARATE = "--separate says which further measurement would, from simulation."
+_STIFF = (
+    "The base terms are too stiff for these records: a higher --degree, or --base sindy, takes the "
+    "bend into the characteristic itself."
+)
+_FURTHER = (
+    "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another base "
+    "(--degree, --base sindy) or a longer record may give it a name."
+)
 _NOT_SIMULATED = "These records do not let say what is missing."
 _LACKS = {
     "provisional": "lacks something, provisionally named",
@@ -78,92 +76,69 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         Whether limits and separating measurements are reported elsewhere, so that no option that
         would find them is named.
     """
-    lag = d if isinstance(d, LagDiagnosis) else None
-    said: list[str] = []
     if d.missing:
-        said += [
+        several = any(len(item.alias_set) > 1 for item in d.missing)
+        said = [
             _worse_words(d),
             verdict_sentence(d),
             *(_alias_words(d, item) for item in d.missing),
+            _SEPARATE if d.of_series and several and not separated else "",
+            _doubt_words(d),
+            _STIFF if "characteristic_shape" in d.names else "",
+            _bound_words(d),
+            *map(_sentence, d.remarks),
         ]
-        several = any(len(item.alias_set) > 1 for item in d.missing)
-        if lag is not None and several and not separated:
-            said.append("--separate says which further measurement would, from simulation.")
-        said += [_doubt_words(d), shape_words(d.names), _bound_words(d)]
     else:
         known = np.isfinite(d.gap.before_rms)
-        lead = verdict_sentence(d) if known else _NOT_SIMULATED
-        said += [lead, _refused_words(d), _left_words(d)]
-    if lag is not None and not d.missing:
-        said += [noise_words(lag)] if d.verdict == "noise_model_wrong" else []
-        said.append(structure_words(lag))
-    said += [_sentence(remark) for remark in d.remarks]
-    if lag is not None and not d.missing:
-        said.append(limit_words(d.verdict, limited=limited))
+        said = [
+            verdict_sentence(d) if known else _NOT_SIMULATED,
+            _refused_words(d),
+            _left_words(d),
+            d.noise_said if d.verdict == "noise_model_wrong" else "",
+            d.structure_said,
+            *map(_sentence, d.remarks),
+        ]
+        if d.of_series:
+            said.append(_FURTHER if d.verdict == "unexplained_structure" else _limit(limited))
     return " ".join(filter(None, said))
 
 
-def verdict_sentence(d: Diagnosis) -> str:
-    """Say the verdict in one sentence: what is missing and what it does, or that nothing is.
+def _limit(limited: bool) -> str:
+    how = "the limits below say" if limited else "--limits plants each into these records and says"
+    return f"That has a limit: an effect that is small enough goes unseen, and {how} how small."
 
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """Say the verdict in one sentence: what is missing and what it does, or that nothing is."""
     if not d.missing:
         return _LEADS[d.verdict]
     each = []
     for item in d.missing:
         numbers = number_rows(item.effect, item.parameters)[:1]
         first = "".join(f" ({n} = {text})" if n else f" ({text})" for n, text in numbers)
-        each.append(f"{named(item)}{first}{_together(item)}")
+        each.append(f"{_named(item)}{first}{_together(item)}")
     lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
-    lag = d if isinstance(d, LagDiagnosis) else None
-    if lag is not None and lag.reverse_loss is not None and len(d.missing) == 1:
-        # It acts where the run is not scored: the τ to quote is that of the comparison.
+    if d.acts_unscored:
         return f"{lead}."
-    it = "them" if len(each) > 1 else "it"
-    tau = f", and {tau_words(lag)}" if lag is not None else ""
-    return f"{lead}: with {it} {_fall_words(d)}{tau}."
+    it, (_, tau) = "them" if len(each) > 1 else "it", d.tau_said
+    return f"{lead}: with {it} {_fall_words(d)}{f', and {tau}' if tau else ''}."
 
 
-def effect_words(item: MissingEffect) -> str:
-    """Say what happens, and what a lag suffers without it.
-
-    Parameters
-    ----------
-    item : MissingEffect
-        What was found.
-    """
+def effect_words(item: MissingEffect) -> tuple[str, ...]:
+    """Say what happens, what a lag suffers without it, and what would confirm each name."""
     on_tau = f"What leaving it out does to τ: {item.on_tau}." if item.on_tau else ""
-    says = _sentence(item.says)
-    name = plain_name(item.label)
-    return " ".join(filter(None, [f"{name}: {says}" if says else "", on_tau]))
-
-
-def confirm_words(item: MissingEffect) -> tuple[str, ...]:
-    """Return the measurement that would confirm each name of an alias set.
-
-    Parameters
-    ----------
-    item : MissingEffect
-        What was found.
-    """
+    says = f"{plain_name(item.label)}: {_sentence(item.says)}" if item.says else ""
+    confirm = {plain_name(name): words for name, words in item.confirm.items() if words}
+    said = [" ".join(filter(None, (says, on_tau)))]
     if len(item.confirm) == 1:
-        return tuple(f"To confirm: {words}." for words in item.confirm.values() if words)
-    named = {plain_name(name): words for name, words in item.confirm.items() if words}
-    return tuple(f"To confirm {name}: {words}." for name, words in named.items())
+        said += [f"To confirm: {words}." for words in confirm.values()]
+    else:
+        said += [f"To confirm {name}: {words}." for name, words in confirm.items()]
+    return tuple(filter(None, said))
 
 
 def ledger_words(d: Diagnosis) -> tuple[str, ...]:
-    """Say what would have been seen, what is not decided, and what could not be tried.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    """
+    """Say what would have been seen, what is not decided, and what could not be tried."""
     absent = ", ".join(
         f"{plain_name(a.effect)} (from {size_words(a.size, a.unit)} on)" for a in d.absent
     )
@@ -173,7 +148,7 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
         f"{u.what_would_tell}."
         for u in d.untold
     ]
-    out += lag_ledger(d) if isinstance(d, LagDiagnosis) else ()
+    out += d.ledger_said
     reasons: dict[str, list[str]] = {}
     for name, why in d.unavailable.items():
         reasons.setdefault(why, []).append(plain_name(name))
@@ -184,14 +159,8 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     return tuple(out)
 
 
-def named(item: MissingEffect) -> str:
-    """Return what is missing and where, as part of a sentence.
-
-    Parameters
-    ----------
-    item : MissingEffect
-        What was found.
-    """
+def _named(item: MissingEffect) -> str:
+    """Return what is missing and where, as part of a sentence."""
     place = item.place
     name = "a term without a name" if item.unnamed else plain_name(item.effect)
     if "port" in place:
@@ -219,18 +188,8 @@ def named(item: MissingEffect) -> str:
     return f"{name}{where}{on}{into}"
 
 
-def pooled_rms(runs: Sequence[CheckRun], j: int, *, before: bool) -> float:
-    """Return the rms error of one output over all rows of several runs.
-
-    Parameters
-    ----------
-    runs : sequence of CheckRun
-        The runs.
-    j : int
-        Number of the output.
-    before : bool
-        Of the model as it was, or else with what was added.
-    """
+def _pooled_rms(runs: Sequence[CheckRun], j: int, *, before: bool) -> float:
+    """Return the rms error of one output over all rows of several runs."""
     return float(rms(np.concatenate([run.errors(before=before)[:, [j]] for run in runs]))[0])
 
 
@@ -251,7 +210,7 @@ def _fall_words(d: Diagnosis) -> str:
     """Say how the error falls on rows that were not fitted, or on the fitted ones."""
     runs, listed = d.proof, []
     for j, (name, unit) in enumerate(d.outputs.items()):
-        before, after = (pooled_rms(runs, j, before=which) for which in (True, False))
+        before, after = (_pooled_rms(runs, j, before=which) for which in (True, False))
         if not (np.isfinite(before) and np.isfinite(after)):
             return f"the simulation of {name} fails on these records"
         scale = scale_of(unit, (before, after))
@@ -281,16 +240,7 @@ def _alias_words(d: Diagnosis, item: MissingEffect) -> str:
     more = len(others) - MOST_ALIASES
     listed = ", ".join(others[:MOST_ALIASES]) + (f" and {more} more" if more > 0 else "")
     words = f"These records cannot separate {plain_name(item.label)} from {listed}"
-    if not isinstance(d, LagDiagnosis):
-        confirm = item.confirm.get(item.label, "")
-        return f"{words}{f'; what would: {confirm}' if confirm else ''}."
-    reason = ALIAS_REASONS.get(frozenset(item.alias_set), "")
-    tau = ", ".join(
-        f"{plain_name(name)} {tau_ms(d.tau_by_alias_s[name])}"
-        for name in item.alias_set
-        if name in d.tau_by_alias_s
-    )
-    return f"{words}{f': {reason}' if reason else ''}. τ under each name: {tau}."
+    return f"{words}{d.alias_said(item)}."
 
 
 def _doubt_words(d: Diagnosis) -> str:
@@ -350,15 +300,13 @@ def _left_words(d: Diagnosis) -> str:
     """Say what error is left where nothing was added, beside the noise."""
     runs, listed = d.proof, []
     for j, (name, unit) in enumerate(d.outputs.items()):
-        left = pooled_rms(runs, j, before=True)
+        left = _pooled_rms(runs, j, before=True)
         if not np.isfinite(left):
             return f"The simulation of {name} fails on these records."
         scale, of = scale_of(unit, (left,)), SYMBOLS.get(name, name)
         noise = f" for a noise of {scale.text(d.floor[j])}" if j < len(d.floor) else ""
         listed.append(f"{scale.text(left)} in {of}{noise}")
-    tau = ""
-    if isinstance(d, LagDiagnosis):
-        tau = f" τ = {tau_ms(d.tau_before_s, d.tau_stderr_s)}."
+    tau = f" τ = {d.tau_said[0]}." if d.tau_said[0] else ""
     return f"The rms error {_ON[runs[0].kind]} is {'; '.join(listed)}.{tau}"
 
 

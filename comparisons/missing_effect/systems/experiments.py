@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -49,7 +49,7 @@ class Experiment:
     channels: Mapping[str, FloatArray]
     first_s: float = 0.0
     settle: int = 0
-    origin: str = field(default="")
+    origin: str = ""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_period_s) and self.sample_period_s > 0.0):
@@ -59,26 +59,23 @@ class Experiment:
                 found=f"{self.sample_period_s!r}",
             )
         made: dict[str, FloatArray] = {}
-        for name, values in self.channels.items():
-            made[name] = np.ascontiguousarray(values, dtype=np.float64)
-            self._check(name, made[name])
-        sizes = {values.size for values in made.values()}
+        for name, given in self.channels.items():
+            made[name] = values = np.ascontiguousarray(given, dtype=np.float64)
+            if values.ndim != 1:
+                raise InputError(
+                    self.named(name), expected="one value a row", found=f"shape {values.shape}"
+                )
+            self._finite(name, np.isinf(values), values)
+        sizes = sorted({values.size for values in made.values()})
         if len(sizes) != 1:
             raise InputError(
-                self.named("channels"), expected="one length", found=f"lengths {sorted(sizes)}"
+                self.named("channels"), expected="one length", found=f"lengths {sizes}"
             )
-        if min(sizes) < FEWEST_ROWS:
+        if sizes[0] < FEWEST_ROWS:
             raise InputError(
-                self.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{min(sizes)}"
+                self.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{sizes[0]}"
             )
         object.__setattr__(self, "channels", MappingProxyType(made))
-
-    def _check(self, name: str, values: FloatArray) -> None:
-        if values.ndim != 1:
-            raise InputError(
-                self.named(name), expected="one value a row", found=f"shape {values.shape}"
-            )
-        self._finite(name, np.isinf(values), values)
 
     def _finite(self, name: str, wrong: BoolArray, values: FloatArray) -> None:
         bad = np.flatnonzero(wrong)
@@ -125,35 +122,38 @@ class Experiment:
         for name in model.input_names:
             self._finite(name, np.isnan(self.channels[name]), self.channels[name])
         for name in model.output_names:
-            read = self.channels[name][np.isfinite(self.channels[name])]
-            if read.size < FEWEST_READINGS:
-                raise InputError(
-                    self.named(name),
-                    expected=f"at least {FEWEST_READINGS} readings",
-                    found=f"{read.size}",
-                )
+            read = self.read(name)
             if float(np.ptp(read)) == 0.0:
                 raise InputError(
                     self.named(name), expected="an output that changes", found="a constant"
                 )
-        return Experiment(
-            self.name,
-            self.sample_period_s,
-            {name: self.channels[name] for name in wanted},
-            self.first_s,
-            self.settle,
-            self.origin,
-        )
+        return replace(self, channels={name: self.channels[name] for name in wanted})
+
+    def read(self, name: str, which: str = "") -> FloatArray:
+        """Return the readings of an output, refused where they are too few.
+
+        Parameters
+        ----------
+        name : str
+            Of the output.
+        which : str
+            The part of the record that this is, to say where they are missing.
+        """
+        read = self.channels[name][np.isfinite(self.channels[name])]
+        if read.size < FEWEST_READINGS:
+            raise InputError(
+                self.named(name),
+                expected=f"at least {FEWEST_READINGS} readings{which}",
+                found=f"{read.size}",
+            )
+        return read
 
     def rows(self, start: int, stop: int) -> Experiment:
         """Return a stretch of the run; its clock goes on."""
-        return Experiment(
-            self.name,
-            self.sample_period_s,
-            {name: values[start:stop] for name, values in self.channels.items()},
-            self.first_s + start * self.sample_period_s,
-            self.settle,
-            self.origin,
+        return replace(
+            self,
+            channels={name: values[start:stop] for name, values in self.channels.items()},
+            first_s=self.first_s + start * self.sample_period_s,
         )
 
     def columns(self, names: Sequence[str]) -> FloatArray:

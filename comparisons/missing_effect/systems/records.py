@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from comparisons.missing_effect.systems.experiments import FEWEST_READINGS, Experiment
+from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rate_factors, rate_of
@@ -52,20 +53,7 @@ class Records:
 
     @classmethod
     def of(cls, model: Model, experiments: Sequence[Experiment]) -> Records:
-        """Cut training records; refuse an empty list or unlike rates.
-
-        Parameters
-        ----------
-        model : Model
-            The model.
-        experiments : sequence of Experiment
-            Training records, of whatever lengths.
-
-        Raises
-        ------
-        InputError
-            When there is none, or rates differ.
-        """
+        """Cut training records; refuse an empty list, short records or unlike rates."""
         model = model.with_record_parameters()
         if not experiments:
             raise InputError("fit", expected="at least one experiment", found="none")
@@ -91,9 +79,12 @@ class Records:
         records = cls(model, whole, whole, whole, span).cut(
             MOST_FITTED / total, MOST_HELD_OUT / total
         )
-        for fitted, held_out in zip(records.fitted, records.held_out, strict=True):
-            _check_read(model, fitted, "the first two thirds")
-            _check_read(model, held_out, "the last third")
+        for which, parts in (
+            ("the first two thirds", records.fitted),
+            ("the last third", records.held_out),
+        ):
+            for part, name in product(parts, model.output_names):
+                part.read(name, f" in {which} of the record")
         return records
 
     def cut(self, fitted: float = 1.0, held_out: float = 1.0) -> Records:
@@ -121,17 +112,6 @@ class Records:
         return any(
             a.n_samples < b.n_samples for a, b in zip(self.fitted, whole.fitted, strict=True)
         )
-
-
-def _check_read(model: Model, stretch: Experiment, which: str) -> None:
-    for name in model.output_names:
-        n = int(np.count_nonzero(np.isfinite(stretch.channels[name])))
-        if n < FEWEST_READINGS:
-            raise InputError(
-                stretch.named(name),
-                expected=f"at least {FEWEST_READINGS} readings in {which} of the record",
-                found=f"{n}",
-            )
 
 
 def runs_of(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
+from comparisons.missing_effect.systems.where import where_of
+from comparisons.missing_effect.where_rows import Where
+from surge_core.rounding import bracketed
 from surge_core.types import FloatArray
 
 SHARE_UNIT = "1 (share of swing)"
@@ -63,6 +67,44 @@ class SystemDiagnosis(Diagnosis):
     def title(self) -> str:
         """The name of the model."""
         return self.model.name
+
+    @property
+    def fit_said(self) -> str:
+        """How inputs run between samples, and how late each acts."""
+        if not self.model.inputs:
+            return ""
+        listed = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in self.offsets)
+        before, after = self.before.structure.between, self.after.structure.between
+        earlier = f" (before: {before})" if before != after else ""
+        return f"Inputs between samples: {after}{earlier}; timing offsets: {listed}."
+
+    @property
+    def wheres(self) -> tuple[Where, ...]:
+        """Where the residuals of the most telling run stand out."""
+        run = self.telling_run
+        if not np.all(np.isfinite(run.before)):
+            return ()
+        share = run.before_rms / run.swing
+        order = np.argsort(-np.where(np.isfinite(share), share, np.inf), kind="stable")
+        names = [list(run.outputs)[j] for j in order]
+        return tuple(where_of(run, self.missing, output=n, model=self.model) for n in names)
+
+    def own_document(self) -> dict[str, Any]:
+        """Return what the JSON of a user's model has beside that of all."""
+        return {
+            # Of one name; those of the others stand in the report.
+            "missing": [{"confirm": item.confirm.get(item.label)} for item in self.missing],
+            "gap": {"unit": self.gap.unit},
+            "time_constant_s": {"before": math.nan, "after": math.nan, "by_alias": {}},
+            "timing_offsets": [asdict(offset) for offset in self.offsets],
+            "input_between_samples": self.after.structure.between if self.model.inputs else None,
+            "model": {
+                "name": self.model.name,
+                "states": self.model.states,
+                "inputs": self.model.inputs,
+                "outputs": self.model.outputs,
+            },
+        }
 
     @property
     def runs(self) -> tuple[CheckRun, ...]:

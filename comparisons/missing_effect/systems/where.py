@@ -12,7 +12,6 @@ from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.where import where_of as where_of_residuals
 from comparisons.missing_effect.where_rows import Residuals, Where
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
@@ -37,23 +36,11 @@ def where_of(
     effects : sequence of MissingEffect
         What was added: the signal of the first one whose signal is measured is looked at.
     output : str, optional
-        Name of the output; without it the one that the model before misses most, against its own
-        swing.
+        Name of the output; the first without it.
     model : Model, optional
-        Tells units, and which states are measured under another name.
-
-    Raises
-    ------
-    InputError
-        When the run has no such output, or too few rows.
+        Knows units, and which states are measured under another name.
     """
-    chosen = worst_output(check) if output is None else output
-    if chosen not in check.outputs:
-        raise InputError(
-            f"{check.name}: output",
-            expected=f"one of {', '.join(check.outputs)}",
-            found=repr(chosen),
-        )
+    chosen = output or next(iter(check.outputs))
     column = list(check.outputs).index(chosen)
     scored = slice(check.settle, None)
     measured = check.measured[scored, column]
@@ -80,41 +67,20 @@ def where_of(
     )
 
 
-def worst_output(check: CheckRun) -> str:
-    """Return the output that the model before misses most, against its own swing.
-
-    Parameters
-    ----------
-    check : CheckRun
-        A run.
-    """
-    share = check.before_rms / check.swing
-    return list(check.outputs)[int(np.argmax(np.where(np.isfinite(share), share, np.inf)))]
-
-
 def _signal(
     check: CheckRun, effects: Sequence[MissingEffect], output: str, model: Model | None
 ) -> tuple[str, FloatArray]:
     """Return the signal of an effect as far as it is measured; the output where none is."""
     channels = check.signals
-    also = {}
-    if model is not None:
-        also = {model.state_names[i]: name for i, name in measured_as(model).items()}
+    also = {} if model is None else {model.state_names[i]: n for i, n in measured_as(model).items()}
+    # A state may share its name with an output that is something else.
+    states = () if model is None else model.states
     for effect in effects:
-        for key in SIGNAL_KEYS:
-            if key not in effect.place:
-                continue
-            name = effect.place[key]
-            # A state may share its name with an output that is something else.
-            channel = also.get(name, "" if _is_state(name, model) else name)
-            if channel in channels:
-                return channel, channels[channel]
-            break
+        name = next((effect.place[key] for key in SIGNAL_KEYS if key in effect.place), "")
+        channel = also.get(name, "" if name in states else name)
+        if channel in channels:
+            return channel, channels[channel]
     return output, channels[output]
-
-
-def _is_state(name: str, model: Model | None) -> bool:
-    return model is not None and name in model.states
 
 
 def _simulated(check: CheckRun, column: int) -> FloatArray:

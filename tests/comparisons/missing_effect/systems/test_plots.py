@@ -15,7 +15,6 @@ from comparisons.missing_effect.plots import draw_diagnosis
 from comparisons.missing_effect.results import Diagnosis
 from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.telling import wheres_of
 
 
 def ran_away() -> SystemDiagnosis:
@@ -37,7 +36,7 @@ KINDS: dict[str, Callable[[], Diagnosis]] = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_diagnosis_is_drawn(kind: str) -> None:
     d = KINDS[kind]()
-    draw_diagnosis(d, wheres_of(d)).savefig(io.BytesIO(), format="png")
+    draw_diagnosis(d).savefig(io.BytesIO(), format="png")
 
 
 @pytest.mark.parametrize(
