@@ -108,13 +108,7 @@ def rmse_of(runs: Sequence[CheckRun]) -> Errors:
 
 
 def merged_test_rmse(diagnoses: Mapping[str, Diagnosis]) -> Errors:
-    """Return the errors of several diagnoses; a split that two of them have is separated.
-
-    Parameters
-    ----------
-    diagnoses : mapping of str to Diagnosis
-        By name.
-    """
+    """Return the errors of several diagnoses; a split that two of them have is separated."""
     merged: Errors = {}
     for name, d in diagnoses.items():
         for split, errors in rmse_of([run for run in d.runs if run.held_out]).items():

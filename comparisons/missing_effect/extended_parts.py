@@ -128,15 +128,7 @@ class FrozenReferences:
 
 
 def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
-    """Return the rows of a record at given times of its clock, of shape (n,).
-
-    Parameters
-    ----------
-    record : CoefficientSeries
-        The record.
-    time_s : ndarray of shape (n,)
-        Times of some of its rows, in seconds.
-    """
+    """Return the rows of a record at given times of its clock, of shape (n,)."""
     at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)
     return np.asarray(at.astype(np.int64))
 

@@ -81,13 +81,7 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
 
 
 def readings_of(records: Sequence[CoefficientSeries]) -> list[RecordReading]:
-    """Read records of one machine, all with the longest average that one of them asks for.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        From raw counts.
-    """
+    """Read records from raw counts, all with the longest average that one of them asks for."""
     readings = [reading_of(record) for record in records]
     longest = max(readings, key=lambda one: one.spec.average_s).spec
     return [
@@ -97,20 +91,7 @@ def readings_of(records: Sequence[CoefficientSeries]) -> list[RecordReading]:
 
 
 def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
-    """Read a record from raw counts; its stated window, if there is one, holds.
-
-    Parameters
-    ----------
-    record : CoefficientSeries
-        With the signals of its probe pairs.
-    degree : int
-        Of the characteristic.
-
-    Raises
-    ------
-    InputError
-        When it has no rows to fit.
-    """
+    """Read a record from raw counts; its stated window, if there is one, holds."""
     signals = rake_signals_of(record)
     assert signals is not None
     stalled = None if record.stalled is None else np.asarray(record.stalled, dtype=np.bool_)
@@ -118,15 +99,7 @@ def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
 
 
 def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:
-    """Return the rows of free runs: all that flow forward, of both branches, are scored.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        In the order of their clocks.
-    readings : sequence of RecordReading
-        Of each, or of its twin.
-    """
+    """Return the rows of free runs: all that flow forward, of both branches, are scored."""
     pieces = [_whole_run(*both) for both in zip(records, readings, strict=True)]
     widths = [piece.nuisance[0].shape[1] - 2 for piece in pieces]
     first = np.concatenate([[0], np.cumsum(widths)])

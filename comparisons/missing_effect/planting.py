@@ -136,13 +136,7 @@ class Planter:
         return cls(diagnosis.after, data, source, diagnosis.noise.sigma)
 
     def shape(self, effect: Effect) -> FloatArray:
-        """Return where an effect is planted: its parameters beside the amplitude that are searched.
-
-        Parameters
-        ----------
-        effect : Effect
-            The effect.
-        """
+        """Return where an effect is planted: its searched parameters beside the amplitude."""
         if effect.name == "hysteresis":
             return np.quantile(self._phi, BRANCH_QUANTILES)
         if effect.name == "characteristic_shape":
@@ -157,17 +151,7 @@ class Planter:
         return np.asarray(start if effect.linear else start[1:])
 
     def coefficients(self, effect: Effect, size: float, rng: np.random.Generator) -> FloatArray:
-        """Return the coefficients of the columns of an effect of a given size.
-
-        Parameters
-        ----------
-        effect : Effect
-            The effect; one without columns gets none.
-        size : float
-            Its amplitude, in the unit of the catalogue.
-        rng : Generator
-            For the phases of a ripple.
-        """
+        """Return the coefficients of the columns of an effect; the phases of a ripple vary."""
         if not effect.linear:
             return np.zeros(0)
         if effect.episodes:
@@ -179,17 +163,7 @@ class Planter:
         return np.array([size])
 
     def planted(self, effect: Effect, size: float, rng: np.random.Generator) -> FloatArray:
-        """Return the coefficient at every sample, without noise, with an effect in it.
-
-        Parameters
-        ----------
-        effect : Effect
-            One that the model has not.
-        size : float
-            Its amplitude.
-        rng : Generator
-            For the phases of a ripple.
-        """
+        """Return the coefficient at every sample, without noise, with one more effect."""
         shape = self.shape(effect)
         own = shape if effect.linear else np.concatenate([[size], shape])
         groups = coefficient_groups(self.fit, self.data)
@@ -208,15 +182,7 @@ class Planter:
         return self.fit.output(self.data)
 
     def measured(self, clean: FloatArray, rng: np.random.Generator) -> LagData:
-        """Return the rows with a coefficient that was measured with noise.
-
-        Parameters
-        ----------
-        clean : ndarray of shape (n,)
-            Without noise.
-        rng : Generator
-            Of the noise.
-        """
+        """Return the rows with a coefficient that was measured with noise."""
         return self.data.with_measured(clean + self.source.draw(rng))
 
     def promise(self, clean: FloatArray) -> tuple[float, float]:

@@ -356,11 +356,6 @@ def telling_stretch(run: CheckRun) -> slice:
     """Return a stretch of some periods over which what was added changes most.
 
     Where nothing was added, the one on which the residual is largest.
-
-    Parameters
-    ----------
-    run : CheckRun
-        A run.
     """
     measured = run.measured[run.settle :]
     n = measured.shape[0]

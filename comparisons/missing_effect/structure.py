@@ -77,15 +77,7 @@ class Structure:
         return out
 
     def ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
-        """Return what stands at each port for given parameters.
-
-        Parameters
-        ----------
-        data : LagData
-            Signals.
-        nonlinear : ndarray of shape (p,)
-            log τ and the parameters of the effects.
-        """
+        """Return what stands at each port for log τ and the parameters of the effects."""
         ports = self.bare_ports(data, nonlinear)
         for effect in self.in_order:
             if effect.port != "input":

@@ -102,11 +102,6 @@ class Bench:
         """Return the bench with what a round found, from the better of two ends of its race.
 
         The whitened fit and the raw race may end in different valleys of the raw error.
-
-        Parameters
-        ----------
-        white, raw : Fit
-            Of the winner, in the metric of the round and in the raw one.
         """
         moved = [self.refitted(white.structure, white.theta)]
         if raw is not None and not raw.failed:
@@ -232,13 +227,7 @@ class Bench:
 
 
 def base_bench(records: Records) -> Bench:
-    """Fit the user's model as it is, and choose how its inputs run between samples.
-
-    Parameters
-    ----------
-    records : Records
-        Training records.
-    """
+    """Fit the user's model as it is, and choose how its inputs run between samples."""
     wanted = records.model.input_between_samples
     between = "cubic" if wanted == "auto" else wanted
     structure = Structure(records.model, (), between, offsets_free=False)
@@ -254,12 +243,7 @@ def base_bench(records: Records) -> Bench:
 def tolerance_for(fit: Fit, raw: Metric) -> float:
     """Return a tolerance of the integrator well below what is new in the errors.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of the model as it is; its whitened errors bound the noise from above.
-    raw : Metric
-        Swing of each output.
+    The whitened errors of the model as it is bound the noise from above.
     """
     if fit.failed:
         return FIRST_TOLERANCE
@@ -273,15 +257,6 @@ def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
 
     The search begins where it costs least: at the raw fit, or at the model of the bench as it was
     last whitened, with what the raw fit has in addition.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model and the records.
-    fit : Fit
-        A model, in the raw metric.
-    metric : Metric
-        The whitening metric.
     """
     free = replace(bench.fit.structure, effects=fit.structure.effects, offsets_free=True)
     starts = [(fit.theta, fit.starts)]
@@ -299,15 +274,7 @@ def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
 
 
 def growth_of(fit: Fit, bench: Bench) -> float:
-    """Return by how many powers of e small changes of the state grow along the runs, at most.
-
-    Parameters
-    ----------
-    fit : Fit
-        A model.
-    bench : Bench
-        The runs that it was fitted to.
-    """
+    """Return by how many powers of e small changes of the state grow along the runs, at most."""
     structure, most = fit.structure, 0.0
     for run, path in zip(bench.train, fit.paths, strict=True):
         steps = transitions(structure, run, fit.theta, path, fit.scale)

@@ -240,15 +240,7 @@ class Model(Displayed):
     def evaluate(
         self, t: float, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
     ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return dx/dt and y at one point, by the functions as they were written.
-
-        Parameters
-        ----------
-        t : float
-            Time, in seconds.
-        x, u, p : tuple of float
-            States, inputs and parameters, in their order.
-        """
+        """Return dx/dt and y at one point, by the functions as they were written."""
         assert self.rhs is not None
         assert self.output is not None
         given = self.groups(x, u, p)
@@ -288,13 +280,7 @@ class Model(Displayed):
     def groups(
         self, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
     ) -> tuple[Any, Any, Any]:
-        """Return states, inputs and parameters under their names, as the functions take them.
-
-        Parameters
-        ----------
-        x, u, p : tuple of float
-            In their order.
-        """
+        """Return states, inputs and parameters under their names, as the functions take them."""
         n, (states, inputs, params) = self.own_states, self.group_kinds
         own = [
             np.array(x[at]) if isinstance(at, slice) else x[at] for at in self.state_groups.values()

@@ -90,10 +90,7 @@ class Records:
     def cut(self, fitted: float = 1.0, held_out: float = 1.0) -> Records:
         """Return the records with at most these shares of their rows fitted and held out.
 
-        Parameters
-        ----------
-        fitted, held_out : float
-            Shares of the rows of each record, from the start of its two thirds and of its third.
+        They count from the start of the two thirds and of the last third of each record.
         """
         first, last = [], []
         for e in self.whole:

@@ -26,22 +26,13 @@ def free_equations(model: Model) -> tuple[int, ...]:
 def rate_of(model: Model) -> dict[int, int]:
     """Return, for each exact state, the state that is its rate, as far as one is.
 
-    Parameters
-    ----------
-    model : Model
-        The model; dq/dt = v makes v the rate of q, and so does dq/dt = S v for any S.
+    dq/dt = v makes v the rate of q, and so does dq/dt = S v for any S.
     """
     return {i: j for i, (j, _) in _rates(model).items()}
 
 
 def rate_factors(model: Model) -> dict[int, float]:
-    """Return S of dq/dt = S v for each exact state with a rate; NaN where parameters make it.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    """
+    """Return S of dq/dt = S v for each exact state with a rate; NaN where parameters make it."""
     return {i: factor for i, (_, factor) in _rates(model).items()}
 
 
@@ -72,11 +63,8 @@ def _rates(model: Model) -> dict[int, tuple[int, float]]:
 def stored_from(model: Model) -> dict[tuple[int, int], int]:
     """Return which states are integrals of which others, and with which sign: {(x, v): ±1}.
 
-    Parameters
-    ----------
-    model : Model
-        The model. A state is an integral where its own value does not matter to its slope: a
-        deflection of speeds, a charge of a current. What resists it acts on those against the sign.
+    A state is an integral where its own value does not matter to its slope: a deflection of
+    speeds, a charge of a current. What resists it acts on those against the sign.
     """
     if model.simulate is not None:
         return {}
@@ -105,13 +93,7 @@ def _slope(model: Model, x: FloatArray, u: tuple[float, ...], p: tuple[float, ..
 
 
 def measured_as(model: Model) -> dict[int, str]:
-    """Return, for each state that is measured as it is, the output that measures it.
-
-    Parameters
-    ----------
-    model : Model
-        The model; an output that returns x.q makes q measured.
-    """
+    """Return, for each state that is measured as it is, the output that measures it."""
     if model.simulate is not None:
         return {}
     agree = {(i, k) for i in range(len(model.states)) for k in range(len(model.outputs))}

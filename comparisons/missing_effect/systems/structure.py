@@ -202,15 +202,7 @@ class Run:
         return cls(experiment, outputs, np.ascontiguousarray(pieces), clock, *x0)
 
     def pieces_for(self, structure: Structure, theta: FloatArray) -> FloatArray:
-        """Return the inputs between samples as the system had them, the recording filter undone.
-
-        Parameters
-        ----------
-        structure : Structure
-            Model and effects.
-        theta : ndarray
-            Parameters, offsets, effects.
-        """
+        """Return the inputs between samples as the system had them, the recording filter undone."""
         at = structure.recording
         if at is None or theta[at] == 0.0 or not self.pieces.shape[0]:
             return self.pieces

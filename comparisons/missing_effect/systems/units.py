@@ -49,13 +49,7 @@ def _multiply(into: dict[str, Fraction], unit: Mapping[str, Fraction], power: fl
 
 
 def product_of_units(*factors: tuple[str, float]) -> str:
-    """Return the product of powers of units, simplified: ``m/s²``, ``1/(V·s)``.
-
-    Parameters
-    ----------
-    factors : tuple of (str, float)
-        A unit as it was written, and its power.
-    """
+    """Return a product of units, each with its power, simplified: ``m/s²``, ``1/(V·s)``."""
     powers: dict[str, Fraction] = {}
     for unit, power in factors:
         _multiply(powers, _powers(unit), power)
