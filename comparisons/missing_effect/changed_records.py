@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.loading import Run, laid_out
 from surge_core.types import FloatArray
 
 # Mean and swing of three throttle settings, as shares of the range and of the swing recorded.
@@ -88,40 +88,17 @@ def changed(data: LagData, change: Change) -> LagData:
     phi = data.sampled(data["phi"])[scored]
     mean, span = float(phi.mean()), float(np.ptp(phi))
     runs = [_changed_run(data, i, change, mean, span) for i in range(len(data.runs))]
-    signals = {
-        name: np.concatenate([run.signals[name] for run in runs]) for name in runs[0].signals
-    }
-    counts = np.cumsum([0, *[run.weight.size for run in runs]])
-    fine = np.cumsum([0, *[run.signals["phi"].size for run in runs]])
-    n = int(counts[-1])
+    made = laid_out(runs, data.every)
     out = replace(
         data,
-        signals=signals,
-        nuisance=np.concatenate([run.nuisance for run in runs]),
-        measured=np.zeros(n),
-        weight=np.concatenate([run.weight for run in runs]),
-        part=np.full(n, TRAIN, dtype=np.int8),
-        record=np.repeat(data.record[data.runs[:, 0]], np.diff(counts)),
-        rows=np.concatenate(
-            [
-                first + np.arange(run.weight.size) * data.every
-                for first, run in zip(fine[:-1], runs, strict=True)
-            ]
-        ),
-        runs=np.column_stack([counts[:-1], counts[1:]]).astype(np.int64),
-        fine_runs=np.column_stack([fine[:-1], fine[1:]]).astype(np.int64),
+        **made,
+        part=np.full(made["weight"].size, TRAIN, dtype=np.int8),
+        record=np.repeat(data.record[data.runs[:, 0]], np.diff(made["runs"])[:, 0]),
     )
     return _with_own_references(_clocked(out, data))
 
 
-@dataclass(frozen=True)
-class _Run:
-    signals: Mapping[str, FloatArray]
-    nuisance: FloatArray
-    weight: FloatArray
-
-
-def _changed_run(data: LagData, index: int, change: Change, mean: float, span: float) -> _Run:
+def _changed_run(data: LagData, index: int, change: Change, mean: float, span: float) -> Run:
     """Return one run of the experiment, its clock starting where it was."""
     first, stop = (int(edge) for edge in data.fine_runs[index])
     n_samples = int(np.diff(data.runs[index])[0])
@@ -150,7 +127,7 @@ def _changed_run(data: LagData, index: int, change: Change, mean: float, span: f
     nearest = np.rint(at).astype(np.int64)
     samples = np.rint(at[:: data.every] / data.every).astype(np.int64)
     weight = data.weight[data.runs[index][0] + samples]
-    return _Run(signals, data.nuisance[first:stop][nearest], weight)
+    return Run(signals, data.nuisance[first:stop][nearest], np.zeros(weight.size), weight)
 
 
 def _throttle(change: Change, size: int) -> tuple[FloatArray, FloatArray]:

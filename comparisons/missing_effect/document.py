@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.where_rows import PANELS
 from comparisons.missing_effect.words import verdict_words
 
@@ -70,10 +69,10 @@ def diagnosis_document(
         "gap": {**{name: getattr(d.gap, name) for name in GAP}, **own.get("gap", {})},
         "where": wheres[0].to_json() if wheres else {name: [] for name in PANELS},
     }
-    if isinstance(d, LagDiagnosis):
+    if d.of_series:
         document["limits"] = None if limits is None else limits.to_json()
         document["separation"] = None if separation is None else separation.to_json()
-        document["base"] = {"terms": list(d.before.structure.terms), **(base or {})}
+        document["base"] = {**own["base"], **(base or {})}
     return {key: _plain(value) for key, value in document.items()}
 
 

@@ -23,7 +23,7 @@ from comparisons.harness.saved_models import (
 )
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.effect import Effect, Parameter
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
@@ -40,8 +40,8 @@ EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
 EXTENDED_FORMAT = ModelFormat(
     EXTENDED_SCHEMA, "a file of a lag model with effects,", "sindy-surge diagnose --save"
 )
-# More than any record can tell, and few enough to be evaluated.
-MOST_TERMS, MOST_INTERVALS = 40, 64
+# More than any record can show, and few enough to be evaluated.
+MOST_INTERVALS = 64
 
 
 def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
@@ -143,23 +143,25 @@ class _SavedEffect(Saved):
         effect = known[self.effect]
         found = ", ".join(f"{row.name} [{row.unit}]" for row in self.parameters)
         own = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
-        if found != own:
-            raise InputError(f"{where}.parameters", expected=own, found=found)
-        added = AddedEffect(
-            effect,
-            tuple(row.value for row in self.parameters),
-            tuple(row.stderr for row in self.parameters),
-            tuple(self.coefficients),
+        _require(found == own, f"{where}.parameters", own, found)
+        values = tuple(row.value for row in self.parameters)
+        errors = tuple(row.stderr for row in self.parameters)
+        added = AddedEffect(effect, values, errors, tuple(self.coefficients))
+        for number, (value, p) in enumerate(zip(values, effect.parameters, strict=True), 1):
+            counts = p.name == "intervals"
+            low, high = (1.0, MOST_INTERVALS - 1.0) if counts else (p.low, p.high)
+            # What was added and not fitted yet has no shape.
+            good = math.isnan(value) and not added.acts
+            good = good or (low <= value <= high and (value.is_integer() or not counts))
+            at = f"{where}.parameters[{number}].value"
+            _require(good, at, f"{p.name} from {low:g} to {high:g}", f"{value:g}")
+        allowed = (0, *_column_counts(where, added, terms))
+        _require(
+            len(self.coefficients) in allowed,
+            f"{where}.coefficients",
+            f"{' or '.join(map(str, allowed))} of {added.name}",
+            str(len(self.coefficients)),
         )
-        for number, (row, p) in enumerate(zip(self.parameters, effect.parameters, strict=True), 1):
-            _check_value(f"{where}.parameters[{number}].value", p, row.value, added.acts)
-        allowed = _column_counts(where, added, terms)
-        if len(self.coefficients) not in allowed:
-            raise InputError(
-                f"{where}.coefficients",
-                expected=f"{' or '.join(map(str, allowed))} of {added.name}",
-                found=str(len(self.coefficients)),
-            )
         return added
 
 
@@ -188,16 +190,12 @@ class _SavedExtended(SavedModel):
     def model(self, where: str, catalogue: Sequence[Effect]) -> ExtendedLag:
         """Return the model as a value."""
         names = tuple(term.name for term in self.terms)
-        _check_names(f"{where}.terms", names, MOST_TERMS)
         unknown = [name for name in names if not is_known_term(name)]
-        if unknown:
-            raise InputError(
-                f"{where}.terms",
-                expected="powers of φ or other known terms",
-                found=f"'{unknown[0]}'",
-            )
-        if self.effects:
-            _check_names(f"{where}.effects", [e.effect for e in self.effects], MOST_EFFECTS)
+        at, expected = f"{where}.terms", "powers of φ or other known terms"
+        _require(bool(names) and not unknown, at, expected, ", ".join(unknown) or "none")
+        effects = [entry.effect for entry in self.effects]
+        once = len(set(effects)) == len(effects)
+        _require(once, f"{where}.effects", "each effect once", ", ".join(effects))
         return ExtendedLag(
             time_constant_s=self.time_constant_s,
             effects=tuple(
@@ -213,38 +211,21 @@ class _SavedExtended(SavedModel):
         )
 
 
-def _check_names(where: str, names: Sequence[str], most: int) -> None:
-    if not 0 < len(names) <= most or len(set(names)) < len(names):
-        raise InputError(
-            where, expected=f"1 to {most} names, each once", found=", ".join(names) or "none"
-        )
-
-
-def _check_value(where: str, parameter: Parameter, value: float, acts: bool) -> None:
-    # What was added and not fitted yet has no shape.
-    if math.isnan(value) and not acts:
-        return
-    counts = parameter.name == "intervals"
-    low, high = (1.0, MOST_INTERVALS - 1.0) if counts else (parameter.low, parameter.high)
-    if not (low <= value <= high and (value.is_integer() or not counts)):
-        found = "null" if math.isnan(value) else f"{value:g}"
-        raise InputError(where, expected=f"{parameter.name} from {low:g} to {high:g}", found=found)
+def _require(good: bool, where: str, expected: str, found: str) -> None:
+    if not good:
+        raise InputError(where, expected=expected, found=found)
 
 
 def _column_counts(where: str, added: AddedEffect, terms: Sequence[str]) -> tuple[int, ...]:
-    """Return how many coefficients an effect may have; none where it was not fitted yet."""
+    """Return how many coefficients an effect has once it is fitted; empty for none."""
     if not added.effect.linear or added.effect.episodes:
-        return (0,)
+        return ()
     if added.name != SHAPE:
-        return (0, 1)
+        return (1,)
     intervals, low, high = added.nonlinear
     if math.isnan(intervals):
-        return (0,)
-    if not low < high:
-        raise InputError(
-            f"{where}.parameters",
-            expected=f"a range of φ for {added.name}, low to high",
-            found=f"{low:g} to {high:g}",
-        )
+        return ()
+    at, expected = f"{where}.parameters", f"a range of φ for {added.name}, low to high"
+    _require(low < high, at, expected, f"{low:g} to {high:g}")
     one = shape_columns(np.array([low]), (low, high), int(intervals), n_powers(terms))
-    return (0, one.shape[1])
+    return (one.shape[1],)

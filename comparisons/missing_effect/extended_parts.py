@@ -122,9 +122,13 @@ class FrozenReferences:
 
     def on(self, data: LagData) -> LagData:
         """Return rows in which every effect is measured from these references."""
-        kept = {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
         data = data.with_signal("time_s", data["time_s"] - self.clock_zero_s)
-        return replace(data, origin_s=0.0, **kept)
+        return replace(data, origin_s=0.0, **self.levels)
+
+    @property
+    def levels(self) -> dict[str, Any]:
+        """All but the clock, by their names in `LagData`."""
+        return {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
 
 
 def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:

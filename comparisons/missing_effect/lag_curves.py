@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from comparisons.missing_effect.loading import Run, laid_out
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.quantities import model_equation
@@ -175,18 +176,12 @@ def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> La
         "relaxation": still,
         "state": still,
     }
-    whole = np.array([[0, n]], dtype=np.int64)
+    rows = Run(signals, np.zeros((n, 0)), still, np.ones(n))
     return replace(
         data,
-        signals=signals,
-        nuisance=np.zeros((n, 0)),
-        measured=still,
-        weight=np.ones(n),
+        **laid_out([rows], 1),
         part=np.zeros(n, dtype=np.int8),
         record=np.zeros(n, dtype=np.int64),
-        rows=np.arange(n),
-        runs=whole,
-        fine_runs=whole,
         every=1,
         average_s=0.0,
         # The clock is given as the effects count it.

@@ -333,6 +333,7 @@ class LagDiagnosis(Diagnosis):
                 }
                 for step in self.rounds
             ],
+            "base": {"terms": list(self.before.structure.terms)},
             "records": records_document(self.data),
             "model": {
                 "before": model_document(self.before, self.data),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -221,6 +221,8 @@ def planted_limits(
     InputError
         For an unknown effect, a share outside (0, 1], or no trial.
     """
+    from joblib import Parallel, delayed
+
     if not 0.0 < share <= 1.0:
         raise InputError("share", expected="more than 0 and at most 1", found=f"{share:g}")
     if trials < 1 or jobs < 1:
@@ -240,8 +242,8 @@ def planted_limits(
     )
     known = {**diagnosis.unavailable, **dict.fromkeys(diagnosis.names, KNOWN_ALREADY)}
     never = _why_never(diagnosis)
-    tasks = [(effect, known.get(effect.name, never)) for effect in wanted]
-    rows = tuple(progress(_done(drill, tasks, jobs)))
+    tasks = (delayed(drill.limit)(effect, known.get(effect.name, never)) for effect in wanted)
+    rows = tuple(progress(Parallel(jobs, return_as="generator")(tasks)))
     return Limits(rows, share, trials, seed, time.perf_counter() - begin)
 
 
@@ -263,17 +265,6 @@ def _why_never(diagnosis: LagDiagnosis) -> str:
     if len(diagnosis.after.structure.effects) >= MOST_EFFECTS:
         return f"the workflow adds no more than {MOST_EFFECTS} effects"
     return ""
-
-
-def _done(drill: _Drill, tasks: Sequence[tuple[Effect, str]], jobs: int) -> Iterator[Limit]:
-    from joblib import Parallel, delayed
-
-    parallel = Parallel(jobs, return_as="generator")
-    yield from parallel(delayed(_limit)(drill, *task) for task in tasks)
-
-
-def _limit(drill: _Drill, effect: Effect, why_none: str) -> Limit:
-    return drill.limit(effect, why_none)
 
 
 _Test = Callable[[Effect, float, int, int], bool]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,9 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
     if whole:
         data = whole_data(ordered, readings_of(ordered))
     else:
-        data = _joined([_segments(record) for record in ordered], [r.source for r in ordered])
+        pieces = [_segments(record) for record in ordered]
+        step_s = ordered[0].sample_period_s / FINE_STEPS
+        data = _joined(pieces, [r.source for r in ordered], FINE_STEPS, step_s)
     least = 4 * MINIMUM_SEGMENT_ROWS
     for part, what in ((TRAIN, "to fit"), (LATER, "to hold out")):
         if whole and part == LATER:
@@ -100,60 +103,90 @@ def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
 
 def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:
     """Return the rows of free runs: all that flow forward, of both branches, are scored."""
-    pieces = [_whole_run(*both) for both in zip(records, readings, strict=True)]
-    widths = [piece.nuisance[0].shape[1] - 2 for piece in pieces]
+    found = [_whole_runs(*both) for both in zip(records, readings, strict=True)]
+    widths = [runs[0].nuisance.shape[1] - 2 for runs, _ in found]
     first = np.concatenate([[0], np.cumsum(widths)])
     # The unstalled branch is each record's own, the loss in reversed flow that of the machine.
-    for piece, start, width in zip(pieces, first, widths, strict=False):
-        own = [np.zeros((run.shape[0], first[-1] + 2)) for run in piece.nuisance]
-        for out, run in zip(own, piece.nuisance, strict=True):
-            out[:, start : start + width], out[:, -2:] = run[:, :-2], run[:, -2:]
-        piece.nuisance = own
-    return _joined(pieces, [record.source for record in records])
+    pieces = []
+    for (runs, amplitudes), start, width in zip(found, first, widths, strict=False):
+        laid = []
+        for run in runs:
+            own = np.zeros((run.nuisance.shape[0], first[-1] + 2))
+            own[:, start : start + width], own[:, -2:] = run.nuisance[:, :-2], run.nuisance[:, -2:]
+            laid.append(replace(run, nuisance=own))
+        pieces.append((laid, amplitudes))
+    passes, average_s = readings[0].passes, readings[0].spec.average_s
+    sources = [record.source for record in records]
+    return _joined(pieces, sources, _every(readings[0]), passes.sample_period_s, average_s)
 
 
-class _Piece:
-    """The runs of one record before they are joined."""
+@dataclass(frozen=True)
+class Run:
+    """One run: signals and nuisances on the fine grid, the coefficient and weights at samples."""
 
-    def __init__(self, every: int, step_s: float, average_s: float = 0.0) -> None:
-        self.every, self.step_s, self.average_s = every, step_s, average_s
-        self.signals: dict[str, list[FloatArray]] = {}
-        self.nuisance: list[FloatArray] = []
-        self.measured: list[FloatArray] = []
-        self.weight: list[FloatArray] = []
-        self.amplitude = self.amplitude_as_is = 0.0
+    signals: Mapping[str, FloatArray]
+    nuisance: FloatArray
+    measured: FloatArray
+    weight: FloatArray
+
+
+# The runs of a record, and the mean amplitude of φ with its ends prolonged and as they stand.
+_Piece: TypeAlias = tuple[list[Run], tuple[float, float]]
+
+
+def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:
+    """Return the fields of `LagData` that runs make, one after the other."""
+    names = [n for n in runs[0].signals if all(n in run.signals for run in runs)]
+    measured, fine = (_bounds(sizes) for sizes in _sizes(runs))
+    starts = zip(fine[:, 0], measured, strict=True)
+    return {
+        "signals": {name: np.concatenate([run.signals[name] for run in runs]) for name in names},
+        "nuisance": np.concatenate([run.nuisance for run in runs]),
+        "measured": np.concatenate([run.measured for run in runs]),
+        "weight": np.concatenate([run.weight for run in runs]),
+        "rows": np.concatenate([at + every * np.arange(n - m) for at, (m, n) in starts]),
+        "runs": measured,
+        "fine_runs": fine,
+    }
+
+
+def _sizes(runs: Sequence[Run]) -> tuple[list[int], list[int]]:
+    return [run.measured.size for run in runs], [run.nuisance.shape[0] for run in runs]
 
 
 def _segments(record: CoefficientSeries) -> _Piece:
-    piece = _Piece(FINE_STEPS, record.sample_period_s / FINE_STEPS)
     spans = []
     for label in np.unique(record.segment[record.segment > 0]):
         rows = np.flatnonzero(record.segment == label)
         spans += np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     # In the order of the clock, whatever the intervals are called: what is held out is later.
     spans = sorted((r for r in spans if r.size >= MINIMUM_SEGMENT_ROWS), key=lambda r: int(r[0]))
-    if spans:
-        known, piece.amplitude, piece.amplitude_as_is = _record_signals(record)
-    for run in spans:
-        lead = min(LEAD_ROWS, int(run[0]))
-        first, last = int(run[0]) - lead, int(run[-1])
-        at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
-        for name, evaluate in known.items():
-            piece.signals.setdefault(name, []).append(evaluate(at))
-        piece.measured.append(record.psi_p[first : last + 1])
-        piece.weight.append((np.arange(first, last + 1) >= run[0]).astype(np.float64))
-        piece.nuisance.append(np.zeros((at.size, 0)))
-    if not piece.measured:
+    if not spans:
         raise InputError(
             record.source,
             expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows",
             found="none",
             remedy="mark the rows to be fitted in the column 'segment'",
         )
-    return piece
+    known, amplitudes = _record_signals(record)
+    runs = []
+    for span in spans:
+        first, last = int(span[0]) - min(LEAD_ROWS, int(span[0])), int(span[-1])
+        at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
+        runs.append(
+            Run(
+                {name: np.asarray(evaluate(at)) for name, evaluate in known.items()},
+                np.zeros((at.size, 0)),
+                record.psi_p[first : last + 1],
+                (np.arange(first, last + 1) >= span[0]).astype(np.float64),
+            )
+        )
+    return runs, amplitudes
 
 
-def _record_signals(record: CoefficientSeries):  # type: ignore[no-untyped-def]
+def _record_signals(
+    record: CoefficientSeries,
+) -> tuple[dict[str, Callable[[FloatArray], FloatArray]], tuple[float, float]]:
     """Return each known signal as a function of the row number, and the mean amplitude of φ."""
     from scipy.interpolate import CubicSpline
 
@@ -164,7 +197,7 @@ def _record_signals(record: CoefficientSeries):  # type: ignore[no-untyped-def]
     as_is = amplitude_of(record.phi, record.sample_rate_hz, prolonged=False)
     smooth = CubicSpline(rows, smooth_channel(record.phi))
     slope = smooth.derivative()
-    known = {
+    known: dict[str, Callable[[FloatArray], FloatArray]] = {
         "time_s": lambda at: np.interp(at, rows, record.time_s),
         "phi": phi,
         "phi_smooth": smooth,
@@ -184,15 +217,18 @@ def _record_signals(record: CoefficientSeries):  # type: ignore[no-untyped-def]
         state = record.in_stall.astype(np.float64)
         known["in_stall"] = lambda at: np.interp(at, rows, state)
     used = record.segment > 0
-    return known, float(np.mean(amplitude[used])), float(np.mean(as_is[used]))
+    return known, (float(np.mean(amplitude[used])), float(np.mean(as_is[used])))
 
 
-def _whole_run(record: CoefficientSeries, reading: RecordReading) -> _Piece:
+def _every(reading: RecordReading) -> int:
+    return max(1, round(reading.spec.average_s / reading.passes.sample_period_s / ROWS_OF_AVERAGE))
+
+
+def _whole_runs(record: CoefficientSeries, reading: RecordReading) -> _Piece:
     """Take the free runs through a record; the fine grid is its own rows."""
     passes, spec, signals = reading.passes, reading.spec, reading.signals
     rate_hz, period_s = 1.0 / passes.sample_period_s, passes.period_s
-    every = max(1, round(spec.average_s * rate_hz / ROWS_OF_AVERAGE))
-    piece = _Piece(every, passes.sample_period_s, spec.average_s)
+    every, runs = _every(reading), []
     inputs, psi_p = design(passes, spec, reading.in_stall)
     nuisance = inputs[:, spec.degree + 1 :]
     if not has_loss(passes):
@@ -225,59 +261,44 @@ def _whole_run(record: CoefficientSeries, reading: RecordReading) -> _Piece:
         own["dphi_s"] = np.gradient(slow[kept], passes.sample_period_s)
         if "T25_K" in own:
             own["dT25_K_s"] = np.gradient(own["T25_K"], passes.sample_period_s)
-        for name, values in own.items():
-            piece.signals.setdefault(name, []).append(values)
-        piece.nuisance.append(nuisance[kept])
-        piece.measured.append(psi_p[kept][::every])
-        piece.weight.append(weight[kept][::every])
-    piece.amplitude = piece.amplitude_as_is = float(np.mean(amplitude))
-    return piece
+        samples = slice(kept.start, kept.stop, every)
+        runs.append(Run(own, nuisance[kept], psi_p[samples], weight[samples]))
+    return runs, (float(np.mean(amplitude)),) * 2
 
 
-def _joined(pieces: Sequence[_Piece], sources: Sequence[str]) -> LagData:
-    first = pieces[0]
-    names = [n for n in first.signals if all(n in piece.signals for piece in pieces)]
-    measured = [run for piece in pieces for run in piece.measured]
-    fine = [run for piece in pieces for run in piece.signals["phi"]]
-    weight = np.concatenate([run for piece in pieces for run in piece.weight])
-    record = np.concatenate(
-        [np.full(run.size, i) for i, piece in enumerate(pieces) for run in piece.measured]
-    )
-    runs, fine_runs = _bounds(measured), _bounds(fine)
-    rows = np.concatenate(
-        [
-            start + np.arange(run.size) * first.every
-            for (start, _), run in zip(fine_runs, measured, strict=True)
-        ]
-    )
-    nuisance = np.concatenate([run for piece in pieces for run in piece.nuisance])
+def _joined(
+    pieces: Sequence[_Piece],
+    sources: Sequence[str],
+    every: int,
+    step_s: float,
+    average_s: float = 0.0,
+) -> LagData:
+    made = laid_out([run for runs, _ in pieces for run in runs], every)
+    signals, weight, nuisance = made["signals"], made["weight"], made["nuisance"]
+    sizes = [sum(_sizes(runs)[0]) for runs, _ in pieces]
+    record = np.repeat(np.arange(len(pieces)), sizes)
     moving = np.ptp(nuisance, axis=0) > 1e-9
-    signals = {name: np.concatenate([r for p in pieces for r in p.signals[name]]) for name in names}
     part = _parts(record, weight, len(pieces))
-    fitted = signals["phi"][rows[(part == TRAIN) & (weight > 0.0)]]
+    fitted = signals["phi"][made["rows"][(part == TRAIN) & (weight > 0.0)]]
+    amplitude, as_is = np.mean([amplitudes for _, amplitudes in pieces], axis=0).tolist()
+    clock = signals["time_s"]
     return LagData(
-        signals,
-        np.ascontiguousarray(nuisance[:, moving]),
-        np.concatenate(measured),
-        weight,
-        part,
-        record,
-        rows,
-        runs,
-        fine_runs,
-        first.step_s,
-        first.every,
-        first.average_s,
-        float(np.mean([piece.amplitude for piece in pieces])),
-        float(np.mean([piece.amplitude_as_is for piece in pieces])),
-        float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
-        (float(fitted.min()), float(fitted.max())),
-        _clock_zero_s(signals["time_s"]),
-        0.5 * float(signals["time_s"][0] + signals["time_s"][-1]),
-        _surge_s(signals["phi"], fine_runs, first.step_s),
-        _levels(np.concatenate(measured)[weight > 0.0]),
-        tuple(sources),
-        bool(first.average_s > 0.0 and moving[-2] and moving[-1]),
+        **{**made, "nuisance": np.ascontiguousarray(nuisance[:, moving])},
+        part=part,
+        record=record,
+        step_s=step_s,
+        every=every,
+        average_s=average_s,
+        mean_amplitude=amplitude,
+        mean_amplitude_as_is=as_is,
+        mean_speed=float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
+        phi_range=(float(fitted.min()), float(fitted.max())),
+        origin_s=_clock_zero_s(clock),
+        middle_s=0.5 * float(clock[0] + clock[-1]),
+        surge_s=_surge_s(signals["phi"], made["fine_runs"], step_s),
+        psi_levels=tuple(np.quantile(made["measured"][weight > 0.0], PSI_SHARES).tolist()),
+        sources=tuple(sources),
+        has_reverse_loss=bool(average_s > 0.0 and moving[-2] and moving[-1]),
     )
 
 
@@ -293,13 +314,8 @@ def _surge_s(phi: FloatArray, runs: IntArray, step_s: float) -> float:
     return 1.0 / surge_hz if surge_hz > 0.0 else float((stop - start) * step_s)
 
 
-def _levels(measured: FloatArray) -> tuple[float, float, float]:
-    low, high, highest = np.quantile(measured, PSI_SHARES)
-    return float(low), float(high), float(highest)
-
-
-def _bounds(runs: Sequence[FloatArray]) -> IntArray:
-    ends = np.cumsum([run.size for run in runs])
+def _bounds(sizes: Sequence[int]) -> IntArray:
+    ends = np.cumsum(sizes)
     return np.column_stack([np.concatenate([[0], ends[:-1]]), ends]).astype(np.int64)
 
 

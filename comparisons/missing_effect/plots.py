@@ -133,9 +133,8 @@ def _spectrum(ax: Axes, where: Where, *, two: bool) -> None:
         ax.loglog(at, floor, color=QUIET, lw=1.0, ls=(0, (5, 2)), label="noise")
     unit = where.of.unit
     squared = "1" if unit == "1" else f"{unit}²" if unit.isalpha() else f"({unit})²"
-    ax.set_ylabel(printable(f"power density [{squared}/Hz]"), fontsize=SMALL)
-    ax.set_xlabel("frequency [Hz]", fontsize=9)
-    ax.set_title(f"{_shown(where.of.output)}: spectrum", fontsize=9, color=INK, loc="left")
+    density = f"power density [{squared}/Hz]"
+    _name(ax, f"{_shown(where.of.output)}: spectrum", "frequency [Hz]", density)
 
 
 def _over_signal(ax: Axes, where: Where, *, two: bool) -> None:
@@ -149,24 +148,24 @@ def _over_signal(ax: Axes, where: Where, *, two: bool) -> None:
     for key, colour, marker in both:
         mean = scale.factor * np.array([c["any"].mean for c in cells[key]])
         error = scale.factor * np.array([c["any"].stderr for c in cells[key]])
-        look: dict[str, Any] = {
-            "color": colour,
-            "marker": marker,
-            "ms": 3.5,
-            "lw": 1.1,
-            "elinewidth": 0.9,
-        }
-        ax.errorbar(at, mean, 2.0 * np.nan_to_num(error), capsize=2.0, **look)
+        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3.5, "lw": 1.1}
+        bars: dict[str, Any] = {"capsize": 2.0, "elinewidth": 0.9}
+        ax.errorbar(at, mean, 2.0 * np.nan_to_num(error), **look, **bars)
         for way, sign in (("rising", "^"), ("falling", "v")):
             part = scale.factor * np.array([c[way].mean for c in cells[key]])
             ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
-    ax.set_ylabel(printable(f"mean residual {scale.bracketed}"), fontsize=SMALL)
-    name = _shown(where.of.signal)
-    simulated = " simulated" if where.of.simulated else ""
-    ax.set_xlabel(f"{name}{simulated} {printable(over.bracketed)}", fontsize=9)
     ax.locator_params(axis="x", nbins=6)
+    name, simulated = _shown(where.of.signal), " simulated" * where.of.simulated
     title = f"{_shown(where.of.output)}: mean residual over {name}"
+    along = f"{name}{simulated} {printable(over.bracketed)}"
+    _name(ax, title, along, f"mean residual {scale.bracketed}")
+
+
+def _name(ax: Axes, title: str, x: str, y: str = "") -> None:
+    """Name axes; the name of the horizontal one and the title may hold mathtext."""
     ax.set_title(title, fontsize=9, color=INK, loc="left")
+    ax.set_xlabel(x, fontsize=9)
+    ax.set_ylabel(printable(y), fontsize=SMALL)
 
 
 def _shown(name: str) -> str:
@@ -176,7 +175,10 @@ def _shown(name: str) -> str:
 def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
     """Draw the rms error of one output in every run, before and after joined by a bar."""
     runs, j = d.runs[:MOST_RUNS], list(d.outputs).index(output)
-    before, after = (np.array([r[j] for r in sizes]) for sizes in _sizes(runs))
+    before, after = (
+        np.array([r[j] for r in sizes])
+        for sizes in ([run.before_rms for run in runs], [run.after_rms for run in runs])
+    )
     scale = scale_of(d.outputs[output], [typical([*before, *after])])
     before, after = scale.factor * before, scale.factor * after
     place = np.arange(len(runs))
@@ -194,13 +196,9 @@ def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
     ax.set_yticks(place, [printable(run.title, LONGEST_NAME) for run in runs], fontsize=SMALL)
     ax.set_ylim(len(runs) - 0.4, -0.6)
     ax.grid(False, axis="y")
-    ax.set_xlabel(f"rms error {printable(scale.bracketed)}", fontsize=9)
-    ax.set_title(f"{printable(output, LONGEST_NAME)}: errors of every record", **LEFT)
+    title = f"{printable(output, LONGEST_NAME)}: errors of every record"
+    _name(ax, title, f"rms error {printable(scale.bracketed)}")
     legend(ax, loc="best", fontsize=TINY)
-
-
-def _sizes(runs: tuple[CheckRun, ...]) -> tuple[list[FloatArray], list[FloatArray]]:
-    return [run.before_rms for run in runs], [run.after_rms for run in runs]
 
 
 def _heading(d: Diagnosis) -> str:
@@ -333,8 +331,8 @@ def _curves(ax: Axes, d: LagDiagnosis) -> None:
         for curve, dashes in zip(curves, cycle(DASHES), strict=False):
             label = ", ".join(filter(None, (word, curve.label)))
             ax.plot(curve.phi, curve.value, color=colour, lw=1.7, ls=dashes, label=label)
-    ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
-    ax.set_title(r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", **LEFT)
+    title = r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$"
+    _name(ax, title, r"flow coefficient $\varphi$ [-]")
     legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
 
 
@@ -346,9 +344,8 @@ def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
     words = f"loss c φ², c = {significant(reverse.size, 3)}"
     ax.plot(squared, reverse.size * squared, color=AFTER, lw=1.8, label=printable(words))
     ax.axhline(0.0, color=INK, lw=0.7)
-    ax.set_xlabel(r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]", fontsize=9)
-    ax.set_ylabel(r"$\psi'$ left [-]", fontsize=9)
-    ax.set_title("reverse flow branch, where it acts", **LEFT)
+    along = r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]"
+    _name(ax, "reverse flow branch, where it acts", along, "ψ' left [-]")
     legend(ax, loc="upper left", fontsize=TINY)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -87,14 +87,8 @@ class Measurement:
 
     def to_json(self) -> dict[str, Any]:
         """Return the measurement as plain JSON types."""
-        return {
-            "name": self.name,
-            "says": self.says,
-            "sigma": self.sigma,
-            "asked_sigma": self.asked,
-            "tells_apart": self.tells_apart,
-            "distances": [dict(d.__dict__) for d in self.distances],
-        }
+        own = {"sigma": self.sigma, "asked_sigma": self.asked, "tells_apart": self.tells_apart}
+        return {**asdict(self), **own}
 
 
 @dataclass(frozen=True)
@@ -138,14 +132,13 @@ class SetSeparation:
             f"{names}: {self.as_recorded.sigma:.1f} σ apart on these records, all rows together; "
             f"from {self.as_recorded.asked:.1f} σ on they would be separated"
         )
-        return (head, *rows, *self._advice())
-
-    def _advice(self) -> tuple[str, ...]:
         best = self.best
         if best is not None:
-            return (f"  best: {best.says}, which leaves {best.sigma:.1f} σ between them",)
-        own = [f"  {name}: {words}" for name, words in self.confirm.items()]
-        return ("  none of these tells them apart; what would confirm each:", *own)
+            advice = [f"  best: {best.says}, which leaves {best.sigma:.1f} σ between them"]
+        else:
+            advice = ["  none of these tells them apart; what would confirm each:"]
+            advice += [f"  {name}: {words}" for name, words in self.confirm.items()]
+        return (head, *rows, *advice)
 
     def to_json(self) -> dict[str, Any]:
         """Return the set as plain JSON types."""
@@ -200,27 +193,24 @@ def separating_measurements(
     seed : int
         Of the phases that a ripple would have in them.
     """
-    sets = []
+    sets, known = [], {effect.name: effect for effect in diagnosis.catalogue}
     for item in diagnosis.missing:
-        known = {effect.name: effect for effect in diagnosis.catalogue}
         names = tuple(name for name in item.alias_set if name in known)
         # A name that the workflow took from rows beside the model stands for nothing else.
-        if len(names) > 1 and item.effect in diagnosis.after.structure.names:
-            rivals = _Rivals.of(diagnosis, item.effect, [known[name] for name in names])
-            sets.append(_separated(rivals, changes, seed))
+        if len(names) < 2 or item.effect not in diagnosis.after.structure.names:
+            continue
+        rivals = _Rivals.of(diagnosis, item.effect, [known[name] for name in names])
+        rng = np.random.default_rng(seed)
+        before, *made = (
+            Measurement(change.name, change.says, rivals.distances(change, rng))
+            for change in (AS_RECORDED, *changes)
+        )
+        if len({name in OF_ONE_TAP for name in names}) > 1:
+            tap = rivals.with_second_tap(before.distances)
+            made.append(Measurement(SECOND_TAP.name, SECOND_TAP.says, tap))
+        confirm = {name: known[name].confirm for name in names}
+        sets.append(SetSeparation(names, before, tuple(made), confirm))
     return Separation(tuple(sets))
-
-
-def _separated(rivals: _Rivals, changes: Sequence[Change], seed: int) -> SetSeparation:
-    names = tuple(rivals.fits)
-    rng = np.random.default_rng(seed)
-    before = Measurement(AS_RECORDED.name, AS_RECORDED.says, rivals.distances(AS_RECORDED, rng))
-    made = [Measurement(c.name, c.says, rivals.distances(c, rng)) for c in changes]
-    if len({name in OF_ONE_TAP for name in names}) > 1:
-        tap = rivals.with_second_tap(before.distances)
-        made.append(Measurement(SECOND_TAP.name, SECOND_TAP.says, tap))
-    confirm = {effect.name: effect.confirm for effect in rivals.effects}
-    return SetSeparation(names, before, tuple(made), confirm)
 
 
 @dataclass(frozen=True)
@@ -236,28 +226,22 @@ class _Rivals:
 
     @classmethod
     def of(cls, diagnosis: LagDiagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
-        bench = diagnosis.rounds[-1].bench
+        metric, after = diagnosis.rounds[-1].bench.metric, diagnosis.after
         references = FrozenReferences.of(diagnosis.data)
         data = references.on(diagnosis.data)
         data = data.with_parts(np.full(data.n_samples, TRAIN, dtype=np.int8))
-        effect = next(e for e in diagnosis.after.structure.effects if e.name == winner)
-        structure, nonlinear = diagnosis.after.structure.without(effect, diagnosis.after.nonlinear)
-        bare = Fit(structure, nonlinear, np.zeros(0), 0.0)
-        without = refitted_on(bare, data, bench.metric)
-        fits = {winner: diagnosis.after}
-        prober = Prober(without, data, bench.metric)
-        for member in members:
-            if member.name != winner:
-                fits[member.name] = _fitted(without, member, data, bench.metric, prober)
+        effect = next(e for e in after.structure.effects if e.name == winner)
+        structure, nonlinear = after.structure.without(effect, after.nonlinear)
+        without = refitted_on(Fit(structure, nonlinear, np.zeros(0), 0.0), data, metric)
+        prober = Prober(without, data, metric)
+        fits = {
+            member.name: after
+            if member.name == winner
+            else _fitted(without, member, data, metric, prober)
+            for member in members
+        }
         plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
-        return cls(
-            tuple(members),
-            {member.name: fits[member.name] for member in members},
-            without,
-            data,
-            references,
-            plain,
-        )
+        return cls(tuple(members), fits, without, data, references, plain)
 
     def distances(self, change: Change, rng: np.random.Generator) -> tuple[Distance, ...]:
         """Return how far each rival stays from each truth in an experiment."""
@@ -267,12 +251,15 @@ class _Rivals:
             data = there.with_measured(self._simulated(self.fits[truth], there, rng))
             base = self._base(data)
             prober = Prober(base, data, self.metric)
+            # From here on the workflow tells two names apart that both gain so much.
+            gap = max(LEAST_GAP, LEAST_GAP_SHARE * base.cost)
+            asked = float(max(TOLD_APART, np.sqrt(2.0 * gap)))
             for rival in self.effects:
                 if rival.name != truth:
                     known = self.fits[rival.name]
                     own = known.structure.values_of(rival, known.nonlinear)
                     fit = _fitted(base, rival, data, self.metric, prober, own)
-                    out.append(Distance(truth, rival.name, _sigma(fit), _asked(base)))
+                    out.append(Distance(truth, rival.name, _sigma(fit), asked))
         return tuple(out)
 
     def with_second_tap(self, recorded: Sequence[Distance]) -> tuple[Distance, ...]:
@@ -311,14 +298,7 @@ class _Rivals:
 
     def _simulated(self, fit: Fit, there: LagData, rng: np.random.Generator) -> FloatArray:
         """Return ψ' of a model in an experiment, each effect measured from where it was fitted."""
-        kept = self.references
-        data = replace(
-            there,
-            mean_amplitude=kept.mean_amplitude,
-            mean_amplitude_as_is=kept.mean_amplitude_as_is,
-            mean_speed=kept.mean_speed,
-            phi_range=kept.phi_range,
-        )
+        data = replace(there, **self.references.levels)
         groups = coefficient_groups(fit, self.data)
         effects = dict(groups.effects)
         for effect in fit.structure.effects:
@@ -348,12 +328,6 @@ def _fitted(
     if not starts:
         return base
     return fit_structure(base.structure.with_effect(effect), data, metric, starts)
-
-
-def _asked(base: Fit) -> float:
-    """Return from which distance on the workflow tells two names apart that both gain so much."""
-    gap = max(LEAST_GAP, LEAST_GAP_SHARE * base.cost)
-    return float(max(TOLD_APART, np.sqrt(2.0 * gap)))
 
 
 def _sigma(fit: Fit) -> float:

@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 
 from comparisons.missing_effect.where_rows import (
-    FEWEST_SCORED,
     BandRow,
     Cell,
     Residuals,
@@ -32,7 +31,6 @@ from comparisons.missing_effect.where_spectrum import (
     power_z,
     tapered_power,
 )
-from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Chance that anything at all is said to stand out of pure noise.
@@ -48,33 +46,15 @@ DIFFERENCE_SHARE = 0.02
 
 
 def where_of(given: Residuals) -> Where:
-    """Return where the residual of one output stands out, before and after.
+    """Return where the residual of one output with rows enough stands out, before and after.
 
-    Parameters
-    ----------
-    given : Residuals
-        The rows.
-
-    Returns
-    -------
-    Where
-        z of a mean is that of a t whose standard error comes from the sums of blocks of time;
-        z of a power that of a χ² about the floor's. The bound on all z is Bonferroni's, at a
-        false alarm of 0.5 % for the whole.
-
-    Raises
-    ------
-    InputError
-        When fewer than 40 rows are scored.
+    z of a mean is that of a t whose standard error comes from the sums of blocks of time; z of a
+    power that of a χ² about the floor's. The bound on all z is Bonferroni's, at a false alarm of
+    0.5 % for the whole.
     """
+    from scipy.special import ndtri
+
     scored = np.isfinite(given.measured)
-    if not given.enough:
-        raise InputError(
-            given.output,
-            expected=f"at least {FEWEST_SCORED} scored rows",
-            found=f"{np.count_nonzero(scored)}",
-            remedy="give a longer record",
-        )
     before, after = given.measured - given.before, given.measured - given.after
     held = _held_back(before, scored, given.floor_rms)
     # What is judged against a floor is not made up: rows without a reading are none.
@@ -94,28 +74,12 @@ def where_of(given: Residuals) -> Where:
     looked += [row.z for row in bands] + [direction.z] + ([line.z] if line else [])
     looked += [cell.z for row in flow for cell in row.before.values()]
     looks = int(np.count_nonzero(np.isfinite(looked)))
-    bound = _bound(looks)
+    bound = -float(ndtri(0.5 * FALSE_ALARM / max(looks, 1)))
     if line is not None and line.z <= bound:
         line = None
-    return Where(
-        given,
-        time,
-        tuple(
-            _banded(row, bound, max(background, 1.0) ** 2, line, powers[0].per_hz) for row in bands
-        ),
-        flow,
-        direction,
-        line,
-        background,
-        looks,
-        bound,
-    )
-
-
-def _bound(looks: int) -> float:
-    from scipy.special import ndtri
-
-    return -float(ndtri(0.5 * FALSE_ALARM / max(looks, 1)))
+    level, per_hz = max(background, 1.0) ** 2, powers[0].per_hz
+    frequency = tuple(_banded(row, bound, level, line, per_hz) for row in bands)
+    return Where(given, time, frequency, flow, direction, line, background, looks, bound)
 
 
 def _held_back(values: FloatArray, scored: BoolArray, rms: float) -> FloatArray:

@@ -35,14 +35,13 @@ class Line:
 
     Parameters
     ----------
-    frequency_hz, width_hz : float
-        Where, and over how much.
+    frequency_hz : float
+        Where.
     z : float
         How far it stands out of its neighbourhood, all frequencies and widths counted.
     """
 
     frequency_hz: float
-    width_hz: float
     z: float
 
 
@@ -198,7 +197,7 @@ def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: fl
     jump = float(np.max(certain * frequency[below] ** 2, initial=0.0))
     if (height - 1.0) * at_hz**2 < JUMP_MARGIN * jump:
         return None
-    return Line(at_hz, width * step_hz, z)
+    return Line(at_hz, z)
 
 
 def power_z(ratio: float, freedom: float, *, known: bool = False) -> float:

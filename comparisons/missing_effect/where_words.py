@@ -25,15 +25,16 @@ def describe(where: Where, *, two: bool) -> tuple[str, ...]:
     two : bool
         Whether the models before and after differ.
     """
-    said = (_of_time(where, two), _of_frequency(where), _of_signal(where))
+    output = SYMBOLS.get(where.of.output, where.of.output)
+    panels = (_of_time(where, two), _of_frequency(where), _of_signal(where))
+    said = tuple(f"{output} {words}." for words in panels)
     return (*said, _of_judgement(where)) if math.isfinite(where.of.floor_rms) else said
 
 
 def _of_time(where: Where, two: bool) -> str:
-    output = SYMBOLS.get(where.of.output, where.of.output)
     known = [row for row in where.time if math.isfinite(row.before_rms)]
     if not known:
-        return f"{output}: could not be simulated by the model before."
+        return "in time: could not be simulated by the model before"
     judged = any(math.isfinite(row.z) for row in known)
     top = max(known, key=lambda r: (r.z if math.isfinite(r.z) else 0.0) if judged else r.before_rms)
     unit, typical = where.of.unit, float(np.median([row.before_rms for row in known]))
@@ -46,17 +47,16 @@ def _of_time(where: Where, two: bool) -> str:
         f"{f', and {left} there after' if two else ''}"
     )
     if not judged:
-        return f"{output} in time: the residual is largest from {block}, {numbers}."
+        return f"in time: the residual is largest from {block}, {numbers}"
     if top.z > where.bound_z:
-        return f"{output} in time: the residual stands out most from {block}, {numbers}."
-    return f"{output} in time: no block stands out; the largest, {block}: {numbers}."
+        return f"in time: the residual stands out most from {block}, {numbers}"
+    return f"in time: no block stands out; the largest, {block}: {numbers}"
 
 
 def _of_frequency(where: Where) -> str:
-    output = SYMBOLS.get(where.of.output, where.of.output)
     share = [row.share for row in where.frequency]
     if not np.any(np.isfinite(share)):
-        return f"{output} over frequency: no residual to look at."
+        return "over frequency: no residual to look at"
     judged = any(math.isfinite(row.z) for row in where.frequency)
     beyond = [r for r in where.frequency if r.z > where.bound_z]
     row = max(beyond or where.frequency, key=lambda r: r.share)
@@ -70,14 +70,14 @@ def _of_frequency(where: Where) -> str:
     line = where.line
     tail = f"; a line at {line.frequency_hz:.3g} Hz stands out, z {line.z:.1f}" if line else ""
     if judged and not beyond:
-        return f"{output} over frequency: no band stands out{tail}."
-    return f"{output} over frequency: {band} {holds}{floor}{tail}."
+        return f"over frequency: no band stands out{tail}"
+    return f"over frequency: {band} {holds}{floor}{tail}"
 
 
 def _of_signal(where: Where) -> str:
     of = where.of
     signal = SYMBOLS.get(of.signal, of.signal)
-    lead = f"{SYMBOLS.get(of.output, of.output)} over {signal}{' simulated' * of.simulated}: "
+    lead = f"over {signal}{' simulated' * of.simulated}: "
     cells = [
         (row, way, cell)
         for row in where.flow
@@ -85,7 +85,7 @@ def _of_signal(where: Where) -> str:
         if math.isfinite(cell.z)
     ]
     if not cells:
-        return f"{lead}too few visits for a mean."
+        return f"{lead}too few visits for a mean"
     parts = ""
     if abs(where.direction.z) > where.bound_z:
         parts = (
@@ -94,13 +94,13 @@ def _of_signal(where: Where) -> str:
         )
     row, way, top = max(cells, key=lambda one: abs(one[2].z))
     if abs(top.z) <= where.bound_z:
-        return f"{lead}no mean residual stands out{parts}."
+        return f"{lead}no mean residual stands out{parts}"
     ranges = [r for r in where.flow if any(abs(c.z) > where.bound_z for c in r.before.values())]
     over = scale_of(of.signal_unit, [r.at for r in where.flow])
     while_ = "" if way == "any" else f" while {signal} is {way}"
     return (
         f"{lead}the mean residual stands out in {len(ranges)} of {len(where.flow)} ranges, most "
-        f"clearly at {over.text(row.at)}{while_}: {_number(where, top)}{parts}."
+        f"clearly at {over.text(row.at)}{while_}: {_number(where, top)}{parts}"
     )
 
 

@@ -52,40 +52,34 @@ class Experiment:
     origin: str = ""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sample_period_s) and self.sample_period_s > 0.0):
-            raise InputError(
-                self.named("sample period"),
-                expected="a positive number of seconds",
-                found=f"{self.sample_period_s!r}",
-            )
+        period_s = self.sample_period_s
+        good = bool(np.isfinite(period_s) and period_s > 0.0)
+        self.require(good, "sample period", "a positive number of seconds", f"{period_s!r}")
         made: dict[str, FloatArray] = {}
         for name, given in self.channels.items():
             made[name] = values = np.ascontiguousarray(given, dtype=np.float64)
-            if values.ndim != 1:
-                raise InputError(
-                    self.named(name), expected="one value a row", found=f"shape {values.shape}"
-                )
+            self.require(values.ndim == 1, name, "one value a row", f"shape {values.shape}")
             self._finite(name, np.isinf(values), values)
         sizes = sorted({values.size for values in made.values()})
-        if len(sizes) != 1:
-            raise InputError(
-                self.named("channels"), expected="one length", found=f"lengths {sizes}"
-            )
-        if sizes[0] < FEWEST_ROWS:
-            raise InputError(
-                self.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{sizes[0]}"
-            )
+        self.require(len(sizes) == 1, "channels", "one length", f"lengths {sizes}")
+        few = sizes[0] < FEWEST_ROWS
+        self.require(not few, "rows", f"at least {FEWEST_ROWS}", f"{sizes[0]}")
         object.__setattr__(self, "channels", MappingProxyType(made))
 
     def _finite(self, name: str, wrong: BoolArray, values: FloatArray) -> None:
-        bad = np.flatnonzero(wrong)
-        if bad.size:
-            raise InputError(
-                self.named(name),
-                expected="finite values",
-                found=f"{values[bad[0]]} in row {bad[0] + 1}",
-                remedy="cut the record there, or give the pieces as experiments of their own",
+        for row in np.flatnonzero(wrong)[:1]:
+            self.require(
+                False,
+                name,
+                "finite values",
+                f"{values[row]} in row {row + 1}",
+                "cut the record there, or give the pieces as experiments of their own",
             )
+
+    def require(self, good: bool, what: str, expected: str, found: str, remedy: str = "") -> None:
+        """Refuse the run, by its file or name and what in it, unless something is good."""
+        if not good:
+            raise InputError(self.named(what), expected=expected, found=found, remedy=remedy)
 
     def named(self, what: str) -> str:
         """Return a place for a message: file or name of the run, and what in it."""
@@ -112,40 +106,25 @@ class Experiment:
         """
         wanted = (*model.input_names, *model.output_names)
         for name in wanted:
-            if name not in self.channels:
-                raise InputError(
-                    self.named(name),
-                    expected=f"channels {', '.join(wanted)}",
-                    found=f"{', '.join(self.channels)}",
-                    remedy=f"name the column '{name}' in the file, or as it is in the model",
-                )
+            self.require(
+                name in self.channels,
+                name,
+                f"channels {', '.join(wanted)}",
+                f"{', '.join(self.channels)}",
+                f"name the column '{name}' in the file, or as it is in the model",
+            )
         for name in model.input_names:
             self._finite(name, np.isnan(self.channels[name]), self.channels[name])
         for name in model.output_names:
-            read = self.read(name)
-            if float(np.ptp(read)) == 0.0:
-                raise InputError(
-                    self.named(name), expected="an output that changes", found="a constant"
-                )
+            moves = float(np.ptp(self.read(name))) > 0.0
+            self.require(moves, name, "an output that changes", "a constant")
         return replace(self, channels={name: self.channels[name] for name in wanted})
 
     def read(self, name: str, which: str = "") -> FloatArray:
-        """Return the readings of an output, refused where they are too few.
-
-        Parameters
-        ----------
-        name : str
-            Of the output.
-        which : str
-            The part of the record that this is, to say where they are missing.
-        """
+        """Return the readings of an output in some part of it, refused where they are too few."""
         read = self.channels[name][np.isfinite(self.channels[name])]
-        if read.size < FEWEST_READINGS:
-            raise InputError(
-                self.named(name),
-                expected=f"at least {FEWEST_READINGS} readings{which}",
-                found=f"{read.size}",
-            )
+        expected = f"at least {FEWEST_READINGS} readings{which}"
+        self.require(read.size >= FEWEST_READINGS, name, expected, f"{read.size}")
         return read
 
     def rows(self, start: int, stop: int) -> Experiment:

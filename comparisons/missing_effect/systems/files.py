@@ -7,13 +7,14 @@ import runpy
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from classic_ml.io.formats import open_stored
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
@@ -25,8 +26,6 @@ TIMES = ("time_s", "t")
 LARGEST_JITTER, GAP = 1e-3, 1.5
 # A period is as round as the jitter of its clock leaves open; a float's own noise at least.
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
-HDF5 = b"\x89HDF\r\n\x1a\n"
-MATLAB_73 = b"MATLAB 7.3"
 LONGEST_CAUSE = 200
 
 Names: TypeAlias = tuple[str, ...] | None
@@ -45,7 +44,7 @@ def read_experiment(
     Parameters
     ----------
     path : str or path
-        ``.csv`` with a header, ``.mat`` (MATLAB 5 to 7.2), ``.npz``, or ``.nc``. A column
+        ``.csv`` with a header, ``.mat``, ``.npz``, or ``.nc``. A column
         ``time_s`` or ``t`` is the clock, in seconds; the others are called as in the model, in its
         units. In files of arrays a vector may lie either way; scalars and other shapes are left
         alone.
@@ -90,15 +89,18 @@ def read_experiment(
             found="both" if clocks else f"columns {', '.join(columns) or 'of other names'}",
         )
     time_s = columns.pop(clocks[0])
-    _check_rows(file, time_s, columns, wanted or ())
-    if not 0 <= settle < time_s.size:
+    if time_s.size < FEWEST_ROWS:
         raise InputError(
-            f"{file}: settle",
-            expected=f"from 0 to fewer than {time_s.size} rows",
-            found=f"{settle}",
+            f"{file}: rows", expected=f"at least {FEWEST_ROWS}", found=f"{time_s.size}"
         )
-    if wanted is None:
-        columns = {key: values for key, values in columns.items() if values.size == time_s.size}
+    odd = [key for key, values in columns.items() if values.size != time_s.size]
+    if wanted is not None and odd:
+        raise InputError(
+            f"{file}: {odd[0]}",
+            expected=f"{time_s.size} values, as many as of time",
+            found=f"{columns[odd[0]].size}",
+        )
+    columns = {key: values for key, values in columns.items() if key not in odd}
     period_s = _period(file, clocks[0], time_s)
     run = Experiment(
         name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
@@ -236,104 +238,52 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
     return out
 
 
-def _read_mat(file: Path, wanted: Names) -> Columns:
-    from scipy.io import loadmat
-
-    with file.open("rb") as opened:
-        if opened.read(len(MATLAB_73)).startswith((MATLAB_73, HDF5)):
-            raise InputError(
-                str(file),
-                expected="a MATLAB file of version 5 to 7.2",
-                found="version 7.3",
-                remedy="save it in MATLAB with save(..., '-v7'), or export it as .csv",
-            )
-    with _parsed(file, "a MATLAB file"):
-        found = loadmat(str(file), appendmat=False)
-    return _vectors(file, {k: v for k, v in found.items() if not k.startswith("__")}, wanted)
-
-
 def _read_npz(file: Path, wanted: Names) -> Columns:
-    # Objects would be executed as they are loaded; they are refused.
+    """Read an archive of arrays; objects would be executed as they are loaded, and are refused."""
+    out = {}
     with (
         _parsed(file, "an .npz file of plain arrays, each with its name"),
         file.open("rb") as binary,
         np.load(binary, allow_pickle=False) as opened,
     ):
-        kept = [name for name in opened.files if wanted is None or name in (*TIMES, *wanted)]
-        return _vectors(file, {name: _plain(file, name, opened) for name in kept}, wanted)
-
-
-def _plain(file: Path, name: str, opened: Mapping[str, Any]) -> Any:
-    """Return an array of a file; refuse one of objects, which only a program can make again."""
-    try:
-        return opened[name]
-    except ValueError as error:
-        if "allow_pickle" not in str(error):
-            raise
-        raise InputError(
-            f"{file}: {name}",
-            expected="numbers, since a file is read as data and never executed",
-            found="an array of Python objects",
-            remedy=f"save it as numbers, with {name}.astype(float)",
-        ) from error
-
-
-def _read_netcdf(file: Path, wanted: Names) -> Columns:
-    with _parsed(file, "a netCDF file"):
-        import xarray
-
-        with xarray.open_dataset(file, decode_times=False) as dataset:
-            arrays = {str(name): dataset[name].values for name in dataset.variables}
-    return _vectors(file, arrays, wanted)
-
-
-def _vectors(file: Path, arrays: Mapping[str, Any], wanted: Names) -> Columns:
-    """Return the vectors of numbers among arrays; refuse what is wanted and is none."""
-    out = {}
-    for name, found in arrays.items():
-        if wanted is not None and name not in (*TIMES, *wanted):
-            continue
-        values = np.asarray(found)
-        if 1 < values.size == max(values.shape) and values.dtype.kind in "iufb":
-            out[name] = values.ravel().astype(np.float64)
-        elif wanted is not None and name in wanted:
-            raise InputError(
-                f"{file}: {name}",
-                expected="a vector of real numbers",
-                found=f"shape {values.shape} of {values.dtype}",
-            )
+        for name in opened.files:
+            if wanted is not None and name not in (*TIMES, *wanted):
+                continue
+            try:
+                values = opened[name]
+            except ValueError as error:
+                raise InputError(
+                    f"{file}: {name}",
+                    expected="numbers, since a file is read as data and never executed",
+                    found=f"what only a program makes again ({_cause(error)})",
+                    remedy=f"save it as numbers, with {name}.astype(float)",
+                ) from error
+            if 1 < values.size == max(values.shape) and values.dtype.kind in "iufb":
+                out[name] = values.ravel().astype(np.float64)
     return out
+
+
+def _read_stored(file: Path, wanted: Names) -> Columns:
+    """Read a file of one of the formats that raw records have."""
+    with open_stored(file) as table:
+        for name in wanted or ():
+            if name in table.left_aside:
+                raise InputError(
+                    f"{file}: {name}",
+                    expected="a vector of numbers, as many as of time",
+                    found=table.left_aside[name],
+                )
+        kept = tuple(n for n in table.names if wanted is None or n in (*TIMES, *wanted))
+        blocks = list(table.blocks(kept))
+    columns = zip(kept, map(np.concatenate, zip(*blocks, strict=True)), strict=True)
+    return {name: values.astype(np.float64) for name, values in columns}
 
 
 _READERS = {
     ".csv": _read_csv,
-    ".mat": _read_mat,
     ".npz": _read_npz,
-    ".nc": _read_netcdf,
-    ".nc4": _read_netcdf,
-    ".netcdf": _read_netcdf,
+    **dict.fromkeys((".mat", ".nc", ".nc4", ".netcdf"), _read_stored),
 }
-
-
-def _check_rows(file: Path, time_s: FloatArray, columns: Columns, wanted: Sequence[str]) -> None:
-    if time_s.size < FEWEST_ROWS:
-        raise InputError(
-            f"{file}: rows", expected=f"at least {FEWEST_ROWS}", found=f"{time_s.size}"
-        )
-    for name in wanted:
-        if name not in columns:
-            raise InputError(
-                f"{file}: {name}",
-                expected=f"columns {', '.join(wanted)}",
-                found=f"{', '.join(columns) or 'none of them'}",
-                remedy="call the column as the model does",
-            )
-        if columns[name].size != time_s.size:
-            raise InputError(
-                f"{file}: {name}",
-                expected=f"{time_s.size} values, as many as of time",
-                found=f"{columns[name].size}",
-            )
 
 
 def _period(file: Path, clock: str, time_s: FloatArray) -> float:

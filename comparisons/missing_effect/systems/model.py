@@ -99,19 +99,11 @@ class Model(Displayed):
     vectors: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for part in (
-            "states",
-            "inputs",
-            "outputs",
-            "params",
-            "x0",
-            "balance",
-            "per_record",
-            "vectors",
-        ):
+        parts = ("states", "inputs", "outputs", "params", "x0", "balance", "per_record", "vectors")
+        for part in parts:
             value = getattr(self, part)
-            if not isinstance(value, Mapping):
-                raise _refused(part, "a mapping of names", f"{type(value).__name__}")
+            mapping = isinstance(value, Mapping)
+            _require(mapping, part, "a mapping of names", f"{type(value).__name__}")
             object.__setattr__(self, part, MappingProxyType(dict(value)))
         object.__setattr__(self, "exact", tuple(self.exact))
         _expand_vectors(self)
@@ -186,13 +178,11 @@ class Model(Displayed):
         given = list(params.values()) if isinstance(params, Mapping) else []
         made = {}
         for i, (name, (start, low, high, unit)) in enumerate(parts["params"].items()):
-            if given and given[i].per_record:
-                raise _refused(f"params: {name}", "one value for all records", "per_record")
-            if not given and (start is None or low is None or high is None):
-                raise _refused(
-                    f"params: {name}", "P(start, low, high)", "no start and bounds in the unit"
-                )
-            made[name] = given[i] if given else P(float(start), float(low), float(high), unit)
+            at, p = f"params: {name}", given[i] if given else P(start, low, high, unit)
+            _require(not p.per_record, at, "one value for all records", "per_record")
+            known = None not in (p.start, p.low, p.high)
+            _require(known, at, "P(start, low, high)", "no start and bounds in the unit")
+            made[name] = p
         return cls(**{**parts, "params": made, **options})
 
     @property
@@ -327,8 +317,8 @@ def _expand_vectors(model: Model) -> None:
         if not isinstance(unit, tuple):
             states[name] = unit
             continue
-        if len(unit) != 2 or not isinstance(unit[1], int) or unit[1] < 1:
-            raise _refused(f"states: {name}", "a unit, or (unit, length)", f"{unit!r}")
+        good = len(unit) == 2 and isinstance(unit[1], int) and unit[1] >= 1
+        _require(good, f"states: {name}", "a unit, or (unit, length)", f"{unit!r}")
         vectors[name] = unit[1]
         states.update({f"{name}_{i}": unit[0] for i in range(unit[1])})
     x0: dict[str, Any] = {}
@@ -338,8 +328,8 @@ def _expand_vectors(model: Model) -> None:
             x0[name] = start
             continue
         many = isinstance(start, (list, np.ndarray))
-        if many and len(start) != n:
-            raise _refused(f"x0: {name}", f"{n} values", f"{len(start)}")
+        found = len(start) if many else n
+        _require(found == n, f"x0: {name}", f"{n} values", f"{found}")
         x0.update({f"{name}_{i}": float(start[i]) if many else start for i in range(n)})
     exact = [
         cell
@@ -356,99 +346,82 @@ def _check_names(model: Model) -> None:
     for part in ("states", "inputs", "outputs", "params"):
         names = list(getattr(model, part))
         needed = part == "outputs" or (part == "states" and model.simulate is None)
-        if not names and needed:
-            raise _refused(part, "at least one", "none")
+        _require(bool(names) or not needed, part, "at least one", "none")
         for name in names:
             good = isinstance(name, str) and name.isidentifier() and not name.startswith("_")
-            if not good or keyword.iskeyword(name):
-                raise _refused(part, "names that are Python identifiers", f"{name!r}")
-            if part != "outputs" and name in seen:
-                raise _refused(part, "each name once", f"{name!r} twice")
-            if part != "outputs":
-                seen.add(name)
-    both = set(model.inputs) & set(model.outputs)
-    if both:
-        raise _refused("outputs", "no name that is an input as well", f"{sorted(both)[0]!r}")
-    for part in ("states", "inputs", "outputs"):
-        for name, unit in getattr(model, part).items():
-            if not isinstance(unit, str) or not unit:
-                raise _refused(f"{part}: {name}", "a unit as text, '1' without one", f"{unit!r}")
+            good = good and not keyword.iskeyword(name)
+            _require(good, part, "names that are Python identifiers", f"{name!r}")
+            _require(
+                part == "outputs" or name not in seen, part, "each name once", f"{name!r} twice"
+            )
+            seen |= {name} if part != "outputs" else set()
+        for name, unit in getattr(model, part).items() if part != "params" else ():
+            good = isinstance(unit, str) and bool(unit)
+            _require(good, f"{part}: {name}", "a unit as text, '1' without one", f"{unit!r}")
+    both = sorted(set(model.inputs) & set(model.outputs))
+    _require(not both, "outputs", "no name that is an input as well", f"{both[:1]!r}")
 
 
 def _check_params(model: Model) -> None:
-    for name, parameter in model.params.items():
-        if not isinstance(parameter, P):
-            raise _refused(f"params: {name}", "P(start, low, high, unit)", f"{parameter!r}")
-        numbers = (parameter.start, parameter.low, parameter.high)
-        if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in numbers):
-            raise _refused(f"params: {name}", "finite start, low and high", f"{numbers}")
-        if not parameter.low <= parameter.start <= parameter.high or (
-            parameter.low == parameter.high
-        ):
-            raise _refused(
-                f"params: {name}",
-                "low <= start <= high and low < high",
-                f"start {parameter.start:g}, low {parameter.low:g}, high {parameter.high:g}",
-            )
+    for name, p in model.params.items():
+        at = f"params: {name}"
+        _require(isinstance(p, P), at, "P(start, low, high, unit)", f"{p!r}")
+        numbers = (p.start, p.low, p.high)
+        _require(all(map(_is_finite, numbers)), at, "finite start, low and high", f"{numbers}")
+        found = "start {:g}, low {:g}, high {:g}".format(*numbers)
+        good = p.low <= p.start <= p.high and p.low < p.high
+        _require(good, at, "low <= start <= high and low < high", found)
 
 
 def _check_options(model: Model) -> None:
-    for name in model.exact:
-        if name not in model.states:
-            raise _refused("exact", f"states out of {_listed(model.states)}", f"{name!r}")
-    choices = get_args(BetweenSamples)
-    if model.input_between_samples not in choices:
-        raise _refused(
-            "input_between_samples", _listed(choices), f"{model.input_between_samples!r}"
-        )
+    known = f"states out of {_listed(model.states)}"
+    for part, names in (("exact", model.exact), ("x0", tuple(model.x0))):
+        for name in names:
+            _require(name in model.states, part, known, f"{name!r}")
+    choices, between = get_args(BetweenSamples), model.input_between_samples
+    _require(between in choices, "input_between_samples", _listed(choices), f"{between!r}")
     for name, start in model.x0.items():
-        if name not in model.states:
-            raise _refused("x0", f"states out of {_listed(model.states)}", f"{name!r}")
-        if start == "first":
-            continue
         pair = start if isinstance(start, tuple) else (start, 1.0)
-        good = len(pair) == 2 and all(
-            isinstance(v, (int, float)) and math.isfinite(v) for v in pair
-        )
-        if not good or pair[1] <= 0.0:
-            raise _refused(
-                f"x0: {name}", "'first', a value, or (value, standard deviation)", f"{start!r}"
-            )
+        good = len(pair) == 2 and all(map(_is_finite, pair)) and pair[1] > 0.0
+        expected = "'first', a value, or (value, standard deviation)"
+        _require(start == "first" or good, f"x0: {name}", expected, f"{start!r}")
     for name, entry in model.balance.items():
-        good = isinstance(entry, tuple) and len(entry) == 2
-        if name not in model.states or not good or entry[0] not in model.params:
-            raise _refused(
-                f"balance: {name}", "{state: (parameter, unit of the sum)}", f"{entry!r}"
-            )
+        good = isinstance(entry, tuple) and len(entry) == 2 and entry[0] in model.params
+        expected = "{state: (parameter, unit of the sum)}"
+        _require(good and name in model.states, f"balance: {name}", expected, f"{entry!r}")
 
 
 def _check_functions(model: Model) -> None:
     """Try both functions once, as Python, at the starts; a black box runs on records alone."""
-    if model.simulate is not None:
-        if not callable(model.simulate):
-            raise _refused("simulate", "a function of (t, u, p)", f"{model.simulate!r}")
+    black_box = model.simulate is not None
+    for part in ("simulate",) if black_box else ("rhs", "output"):
+        function, signature = getattr(model, part), "(t, u, p)" if black_box else "(t, x, u, p)"
+        _require(callable(function), part, f"a function of {signature}", f"{function!r}")
+    if black_box:
         return
-    for part in ("rhs", "output"):
-        if not callable(getattr(model, part)):
-            raise _refused(part, "a function of (t, x, u, p)", f"{getattr(model, part)!r}")
     x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
     p = tuple(float(parameter.start) for parameter in model.params.values())
     try:
         dx, y = model.evaluate(0.0, x, u, p)
     except Exception as error:
-        raise _refused(
-            "rhs and output",
-            "functions of (t, x, u, p) that give numbers",
-            f"{type(error).__name__}: {error}",
+        raise InputError(
+            "model: rhs and output",
+            expected="functions of (t, x, u, p) that give numbers",
+            found=f"{type(error).__name__}: {error}",
         ) from error
     for part, got, names in (("rhs", dx, model.states), ("output", y, model.outputs)):
-        if len(got) != len(names):
-            raise _refused(part, f"{len(names)} numbers ({_listed(names)})", f"{len(got)}")
+        expected = f"{len(names)} numbers ({_listed(names)})"
+        _require(len(got) == len(names), part, expected, f"{len(got)}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value)
 
 
 def _listed(names: Any) -> str:
     return ", ".join(str(name) for name in names)
 
 
-def _refused(where: str, expected: str, found: str) -> InputError:
-    return InputError(f"model: {where}", expected=expected, found=found)
+def _require(good: bool, where: str, expected: str, found: str) -> None:
+    if not good:
+        raise InputError(f"model: {where}", expected=expected, found=found)

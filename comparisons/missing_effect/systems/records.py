@@ -67,10 +67,8 @@ class Records:
                 remedy="resample the experiments to one rate",
             )
         for e in whole:
-            if e.n_samples < FEWEST_ROWS:
-                raise InputError(
-                    e.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{e.n_samples}"
-                )
+            enough = e.n_samples >= FEWEST_ROWS
+            e.require(enough, "rows", f"at least {FEWEST_ROWS}", f"{e.n_samples}")
         span = (
             min(e.first_s for e in whole),
             max(e.first_s + e.n_samples * e.sample_period_s for e in whole),

@@ -17,7 +17,8 @@ from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
-from comparisons.missing_effect.systems.where import where_of
+from comparisons.missing_effect.systems.where import residuals_of
+from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Where
 from surge_core.rounding import bracketed
 from surge_core.types import FloatArray
@@ -86,8 +87,11 @@ class SystemDiagnosis(Diagnosis):
             return ()
         share = run.before_rms / run.swing
         order = np.argsort(-np.where(np.isfinite(share), share, np.inf), kind="stable")
-        names = [list(run.outputs)[j] for j in order]
-        return tuple(where_of(run, self.missing, output=n, model=self.model) for n in names)
+        residuals = (
+            residuals_of(run, self.missing, output=list(run.outputs)[j], model=self.model)
+            for j in order
+        )
+        return tuple(where_of(one) for one in residuals if one.enough)
 
     def own_document(self) -> dict[str, Any]:
         """Return what the JSON of a user's model has beside that of all."""

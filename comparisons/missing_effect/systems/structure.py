@@ -64,11 +64,6 @@ class Structure:
         return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
 
     @property
-    def n_theta(self) -> int:
-        """Length of θ."""
-        return len(self.model.params) + len(self.model.inputs) + SLOTS * len(self.effects)
-
-    @property
     def ints(self) -> NDArray[np.int64]:
         """Layout for the kernels."""
         model = self.model

@@ -1,4 +1,4 @@
-"""Where a simulated run of a user's model and its measurement part."""
+"""The residuals of a simulated run of a user's model, and the signal to look at them over."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.roles import measured_as
-from comparisons.missing_effect.where import where_of as where_of_residuals
-from comparisons.missing_effect.where_rows import Residuals, Where
+from comparisons.missing_effect.where_rows import Residuals
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
@@ -20,14 +19,14 @@ if TYPE_CHECKING:
 SIGNAL_KEYS = ("signal", "input", "sensor", "state")
 
 
-def where_of(
+def residuals_of(
     check: CheckRun,
     effects: Sequence[MissingEffect] = (),
     *,
     output: str | None = None,
     model: Model | None = None,
-) -> Where:
-    """Return where the residuals of a run stand out.
+) -> Residuals:
+    """Return the residuals of one output of a run, to be looked at over a signal.
 
     Parameters
     ----------
@@ -41,29 +40,26 @@ def where_of(
         Knows units, and which states are measured under another name.
     """
     chosen = output or next(iter(check.outputs))
-    column = list(check.outputs).index(chosen)
-    scored = slice(check.settle, None)
+    column, scored = list(check.outputs).index(chosen), slice(check.settle, None)
     measured = check.measured[scored, column]
     signal, values = _signal(check, effects, chosen, model)
     own = signal == chosen
     units = {**({} if model is None else model.inputs), **check.outputs}
-    return where_of_residuals(
-        Residuals(
-            chosen,
-            units.get(chosen, "1"),
-            check.time_s[scored],
-            measured,
-            check.before[scored, column],
-            check.after[scored, column],
-            (_simulated(check, column) if own else values)[scored],
-            signal,
-            units.get(signal, "1"),
-            (slice(0, measured.size),),
-            np.zeros(measured.size, dtype=np.int64),
-            (check.name,),
-            check.period_s,
-            own,
-        )
+    return Residuals(
+        chosen,
+        units.get(chosen, "1"),
+        check.time_s[scored],
+        measured,
+        check.before[scored, column],
+        check.after[scored, column],
+        (_simulated(check, column) if own else values)[scored],
+        signal,
+        units.get(signal, "1"),
+        (slice(0, measured.size),),
+        np.zeros(measured.size, dtype=np.int64),
+        (check.name,),
+        check.period_s,
+        own,
     )
 
 

@@ -76,3 +76,14 @@ def test_a_check_that_got_worse_comes_first_and_each_doubt_is_said() -> None:
     assert words.index(worse.name) < words.index("lacks")
     assert "the reason" in words
     assert read_back(d)["missing"][0]["doubts"] == ["the reason"]
+
+
+def test_an_output_that_was_hardly_read_is_not_looked_at() -> None:
+    d = made_diagnosis()
+    seldom = [run.measured.copy() for run in d.checks]
+    for measured in seldom:
+        measured[np.arange(measured.shape[0]) % 30 != 0, 0] = np.nan
+    runs = zip(d.checks, seldom, strict=True)
+    d = replace(d, checks=tuple(replace(run, measured=measured) for run, measured in runs))
+    assert {where.of.output for where in d.wheres} == {"current", "strain"}
+    assert diagnosis_document(d)["where"]["time"]

@@ -150,12 +150,12 @@ BAD = {
     "run.txt": (lambda: text(good()), "a record ending in .csv, .mat, .npz or .nc"),
     "cut.mat": (
         lambda: packed(scipy.io.savemat)()[:3000],
-        "a MATLAB file, found what cannot be read",
+        "a MAT file, found what cannot be read",
     ),
-    "new.mat": (lambda: b"MATLAB 7.3 MAT-file" + NUL, "found version 7.3"),
+    "new.mat": (lambda: b"MATLAB 7.3 MAT-file" + NUL, "a MAT file, found what cannot be read"),
     "lengths.mat": (
         packed(scipy.io.savemat, y=np.arange(150.0)),
-        "y: expected 200 values, as many as of time, found 150",
+        "y: expected a vector of numbers, as many as of time, found 150 values",
     ),
     "pickle.npz": (
         packed(np.savez, y=np.array([{}] * 200, dtype=object)),
