@@ -84,8 +84,7 @@ def _compressor(given: argparse.Namespace) -> list[str]:
     from comparisons.harness.cautions import lacks_ledger
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
-    from comparisons.missing_effect.report import diagnosis_report
-    from comparisons.missing_effect.terminal import diagnosis_text
+    from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
     from comparisons.missing_effect.whole_runs import N_TWINS
 
     steps = 3 + (given.base == "sindy") + given.limits + given.separate
@@ -180,11 +179,10 @@ def _saved(d: LagDiagnosis, path: Path) -> str:
 def _model(given: argparse.Namespace) -> list[str]:
     """Diagnose a user's own model, whose file is executed, and return what is printed."""
     from comparisons.missing_effect.document import diagnosis_document
-    from comparisons.missing_effect.report import diagnosis_report
+    from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
     from comparisons.missing_effect.script import FITS
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
-    from comparisons.missing_effect.terminal import diagnosis_text
 
     most = given.max_effects or DEFAULT_MODEL_EFFECTS
     with shown_steps(most + FITS + 2) as begin:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -29,6 +29,8 @@ TRAIN_SHARE = 0.6
 PSI_SHARES = (0.25, 0.75, 0.92)
 # A step of P31 by which its part in ψ' is found.
 STEP_PA = 100.0
+# Signals whose slope is one too.
+RATES = {"phi_smooth": "dphi_s", "T25_K": "dT25_K_s"}
 # Rows ahead of a segment that are simulated, so that a late φ is known at its first row.
 LEAD_ROWS = 10
 # An averaged signal changes little from row to row: four rows to the average lose nothing and
@@ -172,11 +174,11 @@ def _segments(record: CoefficientSeries) -> _Piece:
     runs = []
     for span in spans:
         first, last = int(span[0]) - min(LEAD_ROWS, int(span[0])), int(span[-1])
-        at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
+        fine = slice(first * FINE_STEPS, last * FINE_STEPS + 1)
         runs.append(
             Run(
-                {name: np.asarray(evaluate(at)) for name, evaluate in known.items()},
-                np.zeros((at.size, 0)),
+                {name: values[fine] for name, values in known.items()},
+                np.zeros((fine.stop - fine.start, 0)),
                 record.psi_p[first : last + 1],
                 (np.arange(first, last + 1) >= span[0]).astype(np.float64),
             )
@@ -186,36 +188,27 @@ def _segments(record: CoefficientSeries) -> _Piece:
 
 def _record_signals(
     record: CoefficientSeries,
-) -> tuple[dict[str, Callable[[FloatArray], FloatArray]], tuple[float, float]]:
-    """Return each known signal as a function of the row number, and the mean amplitude of φ."""
+) -> tuple[dict[str, FloatArray], tuple[float, float]]:
+    """Return each known signal of a record on the fine grid, and the mean amplitudes of φ."""
     from scipy.interpolate import CubicSpline
 
     rows = np.arange(record.n_samples, dtype=np.float64)
-    period_s = record.sample_period_s
-    phi = CubicSpline(rows, record.phi)
+    fine = np.arange((record.n_samples - 1) * FINE_STEPS + 1) / FINE_STEPS
     amplitude = amplitude_of(record.phi, record.sample_rate_hz)
     as_is = amplitude_of(record.phi, record.sample_rate_hz, prolonged=False)
-    smooth = CubicSpline(rows, smooth_channel(record.phi))
-    slope = smooth.derivative()
-    known: dict[str, Callable[[FloatArray], FloatArray]] = {
-        "time_s": lambda at: np.interp(at, rows, record.time_s),
-        "phi": phi,
-        "phi_smooth": smooth,
-        "dphi_s": lambda at: slope(at) / period_s,
-        "amplitude": lambda at: np.interp(at, rows, amplitude),
-        "amplitude_as_is": lambda at: np.interp(at, rows, as_is),
-    }
-    if record.T25_K is not None:
-        channel = CubicSpline(rows, smooth_channel(record.T25_K))
-        rate = channel.derivative()
-        known["T25_K"] = channel
-        known["dT25_K_s"] = lambda at: rate(at) / period_s
-    if record.Nc_frac is not None:
-        speed = CubicSpline(rows, smooth_channel(record.Nc_frac))
-        known["Nc_frac"] = speed
+    straight = {"time_s": record.time_s, "amplitude": amplitude, "amplitude_as_is": as_is}
     if record.in_stall is not None:
-        state = record.in_stall.astype(np.float64)
-        known["in_stall"] = lambda at: np.interp(at, rows, state)
+        straight["in_stall"] = record.in_stall.astype(np.float64)
+    known = {name: np.interp(fine, rows, values) for name, values in straight.items()}
+    known["phi"] = CubicSpline(rows, record.phi)(fine)
+    channels = {"phi_smooth": record.phi, "T25_K": record.T25_K, "Nc_frac": record.Nc_frac}
+    for name, channel in channels.items():
+        if channel is None:
+            continue
+        smooth = CubicSpline(rows, smooth_channel(channel))
+        known[name] = smooth(fine)
+        if name in RATES:
+            known[RATES[name]] = smooth.derivative()(fine) / record.sample_period_s
     used = record.segment > 0
     return known, (float(np.mean(amplitude[used])), float(np.mean(as_is[used])))
 

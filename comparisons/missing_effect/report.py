@@ -6,6 +6,7 @@ One list for the page and the terminal, which leaves out the picture and the end
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,8 @@ from surge_core.rounding import log_units, significant
 if TYPE_CHECKING:
     from comparisons.missing_effect.results import Diagnosis
 
+# Columns of a terminal.
+WIDTH = 100
 # Of a long ranking the best are printed; --json holds all.
 ROWS_PRINTED = 8
 _PROSE = ("effect", "adds", "candidate")
@@ -128,6 +131,58 @@ def diagnosis_report(
         title=f"What is missing in {', '.join(diagnoses)}",
         command=command,
     )
+
+
+def diagnosis_text(d: Diagnosis, *, limits: Any = None, separation: Any = None) -> str:
+    """Return all that a reader needs as text, in at most 100 columns; tables may be wider.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        Of a lag or of a user's model.
+    limits, separation : object, optional
+        See :func:`diagnosis_parts`.
+    """
+    first, *others = diagnosis_parts(d, limits=limits, separation=separation, brief=True)
+    verdict = [f"VERDICT: {d.verdict}", *(line for b in first.blocks for line in _printed(b))]
+    paragraphs = [verdict, *(lines for part in others for lines in _paragraphs(part))]
+    return "\n\n".join(map("\n".join, paragraphs))
+
+
+def _paragraphs(part: Part) -> list[list[str]]:
+    """Return the lines of each block; lists and small print go on with what is above them."""
+    # A table has a title of its own, a sentence needs none.
+    out = [[part.title]] if _goes_on(part.blocks[0]) else []
+    for block in part.blocks:
+        if _goes_on(block):
+            out[-1] += _printed(block)
+        else:
+            out.append(_printed(block))
+    return out
+
+
+def _goes_on(block: Block) -> bool:
+    return isinstance(block, Bullets) or getattr(block, "tone", "") in ("quiet", "code")
+
+
+def _printed(block: Block) -> list[str]:
+    if isinstance(block, Bullets):
+        return [line for item in block.items for line in _wrapped(f"  {item}", "    ")]
+    if isinstance(block, Table):
+        words = frozenset(i for i, head in enumerate(block.heads) if not head.numeric)
+        rows = tuple(tuple(map(str, row)) for row in block.rows)
+        grid = Grid(block.caption, tuple(head.text for head in block.heads), rows, words)
+        return [grid.title, *(f"  {line}" for line in grid.lines())]
+    assert isinstance(block, Words)
+    if block.tone != "code":
+        return _wrapped(block.text)
+    # A line may be indented, as one of a table is.
+    lines = [(line, len(line) - len(line.lstrip())) for line in block.text.split("\n")]
+    return [out for line, indent in lines for out in _wrapped(line, " " * (indent + 2))]
+
+
+def _wrapped(prose: str, later: str = "") -> list[str]:
+    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)
 
 
 def _picture(d: Diagnosis) -> Picture:

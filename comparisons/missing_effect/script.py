@@ -83,9 +83,8 @@ def run_script(
 
 
 def _run(cases: Mapping[str, Case], given: argparse.Namespace, command: str) -> None:
-    from comparisons.missing_effect.report import diagnosis_report
+    from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
-    from comparisons.missing_effect.terminal import diagnosis_text
     from surge_core.files import check_apart, check_target, to_strict_json, write_whole
 
     targets = [path for path in (given.json, given.report) if path]

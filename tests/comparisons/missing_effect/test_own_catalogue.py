@@ -17,8 +17,8 @@ from comparisons.missing_effect.extended_refit import refitted, value_of
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.limits import planted_limits
 from comparisons.missing_effect.ports import Ports
+from comparisons.missing_effect.report import diagnosis_text
 from comparisons.missing_effect.separate import separating_measurements
-from comparisons.missing_effect.terminal import diagnosis_text
 from comparisons.rig.coefficient_tests import simulate_test
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

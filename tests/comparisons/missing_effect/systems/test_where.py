@@ -11,7 +11,7 @@ import pytest
 from made_systems import made_diagnosis
 
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.systems.where import residuals_of
+from comparisons.missing_effect.systems.results import residuals_of
 from comparisons.missing_effect.where import where_of
 from surge_core.types import FloatArray
 
