@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -79,6 +80,15 @@ def test_a_record_comes_back_from_every_format(name: str, tmp_path: Path, model_
         assert (run.name, run.settle, run.first_s) == ("run", 7, 0.0)
         for channel in ("F", "y"):
             assert np.allclose(run.channels[channel], made[channel], rtol=1e-14, atol=0.0)
+
+
+def test_a_matlab_file_of_version_7_3_is_read(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "run.mat", "w") as file:
+        for name in ("t", "F", "y", "gain"):
+            file[name] = arrays()[name]
+    run = read_experiment(tmp_path / "run.mat")
+    assert set(run.channels) == {"F", "y"}
+    assert np.allclose(run.channels["y"], good()["y"], rtol=1e-14, atol=0.0)
 
 
 def test_a_clock_of_few_decimals_gives_records_of_one_sampler_one_period(tmp_path: Path) -> None:
