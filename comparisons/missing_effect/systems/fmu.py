@@ -12,7 +12,8 @@ import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -60,13 +61,8 @@ def unit_parts(
     file = Path(path)
     if not file.is_file():
         raise InputError(str(file), expected="a functional mock-up unit", found="no such file")
-    try:
+    with _said_by(file, "a functional mock-up unit (.fmu)"):
         described = fmpy.read_model_description(str(file), validate=False)
-    except Exception as error:
-        said = " ".join(str(error).split())[:200]
-        raise InputError(
-            str(file), expected="a functional mock-up unit (.fmu)", found=said or "another file"
-        ) from error
     _check_kind(file, described)
     known = {v.name: v for v in described.modelVariables}
     slopes = [unknown.variable for unknown in described.derivatives]
@@ -113,18 +109,24 @@ def _check_kind(file: Path, described: Any) -> None:
             remedy="export it for model exchange, or give Model.from_simulate a function that runs "
             "it",
         )
-    for what, n in (
-        ("event indicators", described.numberOfEventIndicators),
-        ("clocked states", len(described.clockedStates)),
-    ):
-        if n:
-            raise InputError(
-                str(file),
-                expected="a unit without events, whose states run continuously",
-                found=f"{n} {what}",
-            )
-    if not described.derivatives:
-        raise InputError(str(file), expected="a unit with states", found="none")
+    indicators, clocked = described.numberOfEventIndicators, len(described.clockedStates)
+    expected, found = "a unit without events, whose states run continuously", ""
+    if indicators or clocked:
+        found = f"{indicators} event indicators, {clocked} clocked states"
+    elif not described.derivatives:
+        found = "no states"
+    if found:
+        raise InputError(str(file), expected=expected, found=found)
+
+
+@contextmanager
+def _said_by(file: Path, expected: str) -> Iterator[None]:
+    """Say in one sentence what fmpy stumbles over: it raises bare exceptions."""
+    try:
+        yield
+    except Exception as error:
+        said = " ".join(str(error).split())[:200]
+        raise InputError(str(file), expected=expected, found=said or "another") from error
 
 
 def _identifier(name: str) -> str:
@@ -164,7 +166,8 @@ def _instance(fmpy: ModuleType, file: Path, described: Any) -> Any:
     """Return a unit that is loaded; its files stay as long as it runs."""
     module = import_module(f"fmpy.fmi{described.fmiMajorVersion}")
     folder = tempfile.mkdtemp(prefix="fmu")
-    try:
+    with ExitStack() as stack, _said_by(file, "a unit that runs on this machine"):
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
         fmpy.extract(str(file), folder)
         unit = getattr(module, f"FMU{described.fmiMajorVersion}Model")(
             guid=described.guid,
@@ -173,13 +176,7 @@ def _instance(fmpy: ModuleType, file: Path, described: Any) -> Any:
             instanceName="unit",
         )
         unit.instantiate()
-    except Exception as error:
-        # fmpy raises bare exceptions.
-        shutil.rmtree(folder, ignore_errors=True)
-        said = " ".join(str(error).split())[:200]
-        raise InputError(
-            str(file), expected="a unit that runs on this machine", found=said
-        ) from error
+        stack.pop_all()
     weakref.finalize(unit, shutil.rmtree, folder, ignore_errors=True)
     return unit
 

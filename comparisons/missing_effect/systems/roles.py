@@ -41,22 +41,18 @@ def _rates(model: Model) -> dict[int, tuple[int, float]]:
     """Return rate and factor of each exact state; the factor is the same at all states."""
     if model.simulate is not None:
         return {}
-    states = range(len(model.states))
-    exact = [i for i in states if model.state_names[i] in model.exact]
-    factors: dict[tuple[int, int], list[float]] = {}
+    factors = []
     for seed in range(2):
-        tries = _tries(model, seed)
-        for i, j in ((i, j) for i in exact for j in states if i != j):
-            found = [dx[i] / x[j] for x, dx, _ in tries]
-            same = max(found) - min(found) <= SAME * abs(found[0])
-            if same and np.isfinite(found[0]) and found[0] != 0.0:
-                factors.setdefault((i, j), []).append(found[0])
-    out = {}
-    for (i, j), found in sorted(factors.items()):
-        if len(found) == 2:
-            one, other = found
-            out[i] = (j, one if abs(one - other) <= SAME * abs(one) else float("nan"))
-    return out
+        x, dx, _ = map(np.array, zip(*_tries(model, seed), strict=True))
+        ratio = dx[:, :, None] / x[:, None, :]
+        with np.errstate(invalid="ignore"):
+            same = np.ptp(ratio, axis=0) <= SAME * np.abs(ratio[0])
+        factors.append(np.where(same & (ratio[0] != 0.0), ratio[0], np.nan))
+    one, other = factors
+    known = np.where(np.abs(one - other) <= SAME * np.abs(one), one, np.nan)
+    pairs = np.argwhere(np.isfinite(one) & np.isfinite(other)).tolist()
+    exact = [i for i, name in enumerate(model.state_names) if name in model.exact]
+    return {i: (j, float(known[i, j])) for i, j in pairs if i in exact and i != j}
 
 
 @lru_cache(maxsize=64)
@@ -96,10 +92,9 @@ def measured_as(model: Model) -> dict[int, str]:
     """Return, for each state that is measured as it is, the output that measures it."""
     if model.simulate is not None:
         return {}
-    agree = {(i, k) for i in range(len(model.states)) for k in range(len(model.outputs))}
-    for x, _, y in _tries(model):
-        agree = {(i, k) for i, k in agree if abs(y[k] - x[i]) < SAME}
-    return {i: model.output_names[k] for i, k in sorted(agree)}
+    x, _, y = map(np.array, zip(*_tries(model), strict=True))
+    agree = np.all(np.abs(y[:, None, :] - x[:, :, None]) < SAME, axis=0)
+    return {i: model.output_names[k] for i, k in np.argwhere(agree).tolist()}
 
 
 def _middle(model: Model, seed: int) -> tuple[float, ...]:
