@@ -86,7 +86,7 @@ class SystemDiagnosis(Diagnosis):
         earlier = f" (before: {before})" if before != after else ""
         return f"Inputs between samples: {after}{earlier}; timing offsets: {listed}."
 
-    @property
+    @cached_property
     def wheres(self) -> tuple[Where, ...]:
         """Where the residuals of the most telling run stand out."""
         run = self.telling_run
