@@ -263,7 +263,7 @@ def _candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
         "other": lambda row: log_units(row.other_record_gain, ""),
         "z": lambda row: _text(row.held_out_z, "{:.1f}"),
         "p": lambda row: "" if by_share or math.isnan(row.p_value) else chance(row.p_value),
-        "τ [ms]": lambda row: _text(1e3 * row.time_constant_s, "{}"),
+        "τ [ms]": lambda row: _text(1e3 * row.time_constant_s),
         "fate": _fate,
     }
     cells = {head: [cell(row) for row in rows] for head, cell in columns.items()}
@@ -283,10 +283,10 @@ def _legend(rows: Sequence[CandidateRow]) -> str:
     return f"{first}, fitted, {gains.removesuffix('.')}; p with all that was searched."
 
 
-def _text(value: float, form: str) -> str:
+def _text(value: float, form: str = "") -> str:
     if not math.isfinite(value):
         return ""
-    return significant(value) if form == "{}" else form.format(value)
+    return form.format(value) if form else significant(value)
 
 
 def _fate(row: CandidateRow) -> str:

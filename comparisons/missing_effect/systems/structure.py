@@ -189,23 +189,20 @@ class Run:
         x0: tuple[FloatArray, FloatArray],
     ) -> Run:
         """Return a run with its inputs laid between samples."""
-        made = [input_pieces(experiment.channels[name], between)[0] for name in model.input_names]
-        pieces = np.stack(made) if made else np.zeros((0, 1, 4))
+        pieces = _laid(experiment.columns(model.input_names), between)
         middle, half = 0.5 * (span[0] + span[1]), max(0.5 * (span[1] - span[0]), 1e-12)
         clock = np.array([experiment.first_s, experiment.sample_period_s, middle, half])
         outputs = np.ascontiguousarray(experiment.columns(model.output_names))
-        return cls(experiment, outputs, np.ascontiguousarray(pieces), clock, *x0)
+        return cls(experiment, outputs, pieces, clock, *x0)
 
     def pieces_for(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """Return the inputs between samples as the system had them, the recording filter undone."""
         at = structure.recording
         if at is None or theta[at] == 0.0 or not self.pieces.shape[0]:
             return self.pieces
-        names = structure.model.input_names
-        inputs = self.experiment.columns(names)
+        inputs = self.experiment.columns(structure.model.input_names)
         true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
-        made = [input_pieces(true[:, j], structure.between)[0] for j in range(len(names))]
-        return np.ascontiguousarray(np.stack(made))
+        return _laid(true, structure.between)
 
     def system(self, structure: Structure, theta: FloatArray) -> System:
         """Return what kernels take of a structure with its θ on this run."""
@@ -226,3 +223,9 @@ class Run:
     def sample_period_s(self) -> float:
         """In seconds."""
         return self.experiment.sample_period_s
+
+
+def _laid(inputs: FloatArray, between: str) -> FloatArray:
+    """Return inputs, side by side, between their samples, shape (n_u, m, 4)."""
+    made = [input_pieces(values, between)[0] for values in inputs.T]
+    return np.ascontiguousarray(np.stack(made)) if made else np.zeros((0, 1, 4))
