@@ -102,7 +102,9 @@ class Limit:
 
     def to_json(self) -> dict[str, Any]:
         """Return the row as plain JSON types; null where nothing is known."""
-        return {k: None if v != v else v for k, v in asdict(self).items()}  # noqa: PLR0124
+        sizes = ("size", "excess_sigma", "check_size")
+        unknown = [name for name in sizes if math.isnan(getattr(self, name))]
+        return {**asdict(self), **dict.fromkeys(unknown)}
 
     def _cells(self) -> tuple[str, str, str, str]:
         """Return effect, size, excess and check as they are printed."""
