@@ -207,7 +207,7 @@ def _truth(rig: RigRun, target: str) -> Truth:
 
 def _against_truth(demo: _Demo, title: str, fit: Comparison, truth: Truth) -> None:
     from comparisons.results import SYMBOLS
-    from comparisons.show.report_words import truth_list
+    from comparisons.show.report import truth_list
 
     found = truth_list(fit, truth)
     demo.lines += [f"{title}, {SYMBOLS[fit.rows.target]}: {found.heading}"]

@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.page import style
 from comparisons.page.blocks import Picture
-from comparisons.page.style import (
-    INK,
-    QUIET,
-    SHADE,
-    coefficient_symbol,
-    dress,
-    estimator_styles,
-    legend_above,
-    new_figure,
-    plain_numbers,
-    printable,
-)
 from comparisons.results import SYMBOLS, TauTrial
 from surge_core.rounding import significant
 
@@ -49,30 +38,30 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         no worse within two paired errors; each estimator as a ring at its τ and the error of its
         own reconstruction, with ± 2 standard errors.
     """
-    figure = new_figure(height_in=4.8)
-    ax = dress(figure.add_subplot())
+    figure = style.new_figure(height_in=4.8)
+    ax = style.dress(figure.add_subplot())
     _errors(ax, trial)
     low, high = (1e3 * edge for edge in trial.interval_s)
     label = "no worse within two paired errors"
-    ax.axvspan(low, high, color=SHADE, lw=0, zorder=0, label=label)
+    ax.axvspan(low, high, color=style.SHADE, lw=0, zorder=0, label=label)
     _estimates(ax, trial)
     if true_tau_s is not None:
-        ax.axvline(1e3 * true_tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
+        ax.axvline(1e3 * true_tau_s, color=style.QUIET, lw=1.0, ls=(0, (1, 1.5)))
         title = f"dotted: truth, {1e3 * true_tau_s:.3g} ms"
-        ax.set_title(title, fontsize=8.5, color=QUIET, loc="right")
+        ax.set_title(title, fontsize=8.5, color=style.QUIET, loc="right")
     ax.set_xscale("log")
     ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
-    plain_numbers(ax.xaxis)
+    style.plain_numbers(ax.xaxis)
     ax.set_xlabel(r"time constant $\tau$ [ms]")
-    ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")
-    legend_above(figure, ax, columns=2)
+    ax.set_ylabel(f"rms of the reconstruction of {style.coefficient_symbol(trial.target)} [-]")
+    style.legend_above(figure, ax, columns=2)
     found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
     where = (
         "the scored rows of the free run through the unfiltered signals"
         if whole_runs
         else "the fitted rows, from each segment's own start"
     )
-    return Picture.of(
+    return Picture(
         "Reconstruction error over τ",
         figure,
         f"Error of the free run of {SYMBOLS[trial.target]} over the τ that is held, "
@@ -87,9 +76,11 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
 
 def _errors(ax: Axes, trial: TauTrial) -> None:
     tau_ms, best_ms = 1e3 * trial.tau_s, 1e3 * trial.best_tau_s
-    ax.plot(tau_ms, trial.refitted_rms, color=INK, lw=2.0, label=r"curve refitted to each $\tau$")
+    ax.plot(
+        tau_ms, trial.refitted_rms, color=style.INK, lw=2.0, label=r"curve refitted to each $\tau$"
+    )
     label = f"least error, at {best_ms:.3g} ms"
-    ax.plot(best_ms, trial.least_rms, "v", color=INK, markersize=7, label=label)
+    ax.plot(best_ms, trial.least_rms, "v", color=style.INK, markersize=7, label=label)
     own = [estimate.rms for estimate in trial.estimates]
     shown = np.concatenate([trial.refitted_rms, own, [trial.least_rms]])
     bottom, top = float(np.nanmin(shown)), float(np.max(shown[np.isfinite(shown)]))
@@ -99,13 +90,13 @@ def _errors(ax: Axes, trial: TauTrial) -> None:
 
 def _estimates(ax: Axes, trial: TauTrial) -> None:
     """Mark each estimator at its τ and its own error, with ± 2 standard errors of τ."""
-    styles = estimator_styles(estimate.name for estimate in trial.estimates)
+    styles = style.estimator_styles(estimate.name for estimate in trial.estimates)
     for number, estimate in enumerate(trial.estimates):
         tau_ms, reach_ms = 1e3 * estimate.tau_s, 1e3 * BAND * estimate.stderr_s
         colour = styles[estimate.name].colour
         # Open marks, so that those of one τ do not hide each other.
         ring: dict[str, Any] = {"mfc": "none", "mec": colour, "mew": 1.6, "zorder": 4}
-        label = f"{printable(estimate.label, 34)}, {tau_ms:.3g} ms"
+        label = f"{style.printable(estimate.label, 34)}, {tau_ms:.3g} ms"
         ax.plot(tau_ms, estimate.rms, "o", **ring, markersize=5.0 + 2.5 * number, label=label)
         if math.isfinite(reach_ms):
             # On a logarithmic axis an interval that reaches zero has no left end.

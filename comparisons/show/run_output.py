@@ -10,10 +10,13 @@ from comparisons.missing_effect.document import diagnosis_document
 from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Part, Words
 from comparisons.show.inspection import inspect_document, inspect_text
-from comparisons.show.json_output import comparison_document, record_document
+from comparisons.show.json_output import (
+    comparison_document,
+    record_document,
+    structure_document,
+)
 from comparisons.show.report import ReportSection, report_pages
-from comparisons.show.structure_output import structure_document
-from comparisons.show.structure_report import structure_parts
+from comparisons.show.structure_output import structure_parts
 from comparisons.show.work_output import work_document, work_table
 
 RUN_SCHEMA = "sindy-surge/run/1"

@@ -1,0 +1,199 @@
+"""Pictures of quasi-steady characteristics over φ: of all estimators, and of the one to read."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.harness.fit_quality import dwelt_on
+from comparisons.page import style
+from comparisons.page.blocks import Picture
+from comparisons.results import SYMBOLS, Comparison, Curve, EstimatorResult, Truth
+from comparisons.results.names import NAMES
+from surge_core.rounding import round_to_error, significant
+from surge_core.segments import runs_of
+from surge_core.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Standard errors that a band takes: of several curves, and of one, where it is that of 95 %.
+BAND, BAND95 = 2.0, 1.96
+# Share of the picture's height that the histogram under the curves takes.
+HISTOGRAM_BINS = 60
+HISTOGRAM_SHARE = 0.32
+COLUMN = "#bcc5d0"
+# So small a figure stays legible at the width of a phone.
+WIDTH_IN, HEIGHT_IN = 4.8, 4.1
+POINTS_DRAWN = 2000
+CENTRAL = (1.0, 95.0)
+
+
+def characteristics(comparison: Comparison, truth: Truth | None = None) -> Picture:
+    """Draw each estimator's quasi-steady characteristic over the histogram of φ (Fig 23 to 26).
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    truth : Truth, optional
+        The characteristic of a simulated record.
+
+    Returns
+    -------
+    Picture
+        Curves with bands of ± 2 standard errors, full where φ dwells and faint outside.
+    """
+    rows, ends = comparison.rows, comparison.valid_phi
+    figure = style.new_figure(height_in=6.0)
+    ax = style.dress(figure.add_subplot())
+    _histogram_behind(ax, rows.phi, ends)
+    seen, shown = [], []
+    for result in comparison.results:
+        phi, value, stderr = np.asarray(result.model.table).T
+        inside = (phi >= ends[0]) & (phi <= ends[1]) & dwelt_on(phi, rows.phi)
+        seen.append(value[inside])
+        _curve_with_band(ax, comparison, result, inside)
+        at_ends = (
+            round_to_error(float(np.interp(end, phi, value)), float(np.interp(end, phi, stderr)))
+            for end in ends
+        )
+        shown.append(f"{result.label} {' and '.join(at_ends)}")
+    if truth is not None:
+        _draw_truth(ax, truth, (rows.phi.min(), rows.phi.max()))
+        seen.append(truth.quasi_steady[(truth.phi >= ends[0]) & (truth.phi <= ends[1])])
+        if truth.phi[0] <= ends[0] and ends[1] <= truth.phi[-1]:
+            true = (significant(v, 3) for v in np.interp(ends, truth.phi, truth.quasi_steady))
+            shown.append(f"{truth.label} {' and '.join(true)}")
+    central = np.percentile(rows.measured, [2.0, 98.0])
+    bottom, top = style.robust_limits(*seen, central, margin=0.12)
+    ax.set_ylim(bottom - HISTOGRAM_SHARE * 0.5 * (top - bottom), top)
+    ax.set_xlim(*style.robust_limits(rows.phi, margin=0.02))
+    ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
+    symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
+    ax.set_ylabel(f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]")
+    # Above the axes: inside them it would lie on the histogram or on the curves.
+    style.legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)
+    places = " and ".join(f"φ = {end:.3f}" for end in ends)
+    known = "" if truth is None else f" Dotted black: {truth.label}."
+    return Picture(
+        f"Quasi-steady {NAMES[rows.target]}",
+        figure,
+        f"Quasi-steady {SYMBOLS[rows.target]} over φ, with the histogram of φ. At {places}, "
+        f"between which φ dwells: {'; '.join(shown)}.",
+        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where φ "
+        "dwells, from its 5th to its 95th percentile; beyond it curves are faint, for "
+        f"they are extrapolated there.{known}",
+    )
+
+
+def curve_picture(
+    curve: Curve,
+    estimator: str = "",
+    truth: Truth | None = None,
+    *,
+    histogram: bool = False,
+    more: str = "",
+) -> Picture:
+    """Draw a characteristic with its band over the scored points, where φ was scored.
+
+    Parameters
+    ----------
+    curve : Curve
+        The characteristic.
+    estimator : str
+        Key of what found it, for its colour.
+    truth : Truth, optional
+        The characteristic of a simulated record.
+    histogram : bool
+        Draw that of φ behind, in a larger picture.
+    more : str
+        Further words on how to read it.
+    """
+    size = {"height_in": 6.0} if histogram else {"width_in": WIDTH_IN, "height_in": HEIGHT_IN}
+    figure = style.new_figure(**size)
+    ax = style.dress(figure.add_subplot())
+    if histogram:
+        _histogram_behind(ax, curve.measured_phi, curve.valid_phi)
+    step = -(-curve.measured.size // POINTS_DRAWN)
+    phi, measured = curve.measured_phi[::step], curve.measured[::step]
+    rising = curve.rising[::step]
+    # The lag holds the points off the curve, on one side as φ falls and on the other as it rises.
+    for label, rows, mark in (("φ falling", ~rising, "v"), ("φ rising", rising, "^")):
+        look: dict[str, Any] = {"ms": 2.5, "mew": 0, "color": style.FAINT}
+        ax.plot(phi[rows], measured[rows], mark, **look, label=f"measured, {label}")
+    colour = style.estimator_styles([estimator or "classic_ml"])[estimator or "classic_ml"].colour
+    if np.any(np.isfinite(curve.stderr)):
+        band = curve.value - BAND95 * curve.stderr, curve.value + BAND95 * curve.stderr
+        ax.fill_between(curve.phi, *band, color=colour, alpha=0.25, lw=0, label="95 % band")
+    symbol = style.coefficient_symbol(curve.target, quasi_steady=True)
+    ax.plot(curve.phi, curve.value, color=colour, lw=2.0, label=symbol + r"$(\varphi)$")
+    if truth is not None:
+        _draw_truth(ax, truth, curve.valid_phi)
+    # Rows just behind the entry into stall lie far above the curve, by the lag.
+    ends = np.percentile(curve.measured, CENTRAL) if curve.measured.size else np.zeros(0)
+    ax.set_ylim(*style.robust_limits(curve.value, ends, margin=0.12))
+    ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
+    called = NAMES[curve.target].rpartition(" ")[0]
+    ax.set_ylabel(f"{called} {style.coefficient_symbol(curve.target)} [-]")
+    style.legend_above(figure, ax)
+    at = [
+        f"{round_to_error(float(value), float(error))} at φ = {phi:.3f}"
+        for phi, value, error in zip(curve.phi, curve.value, curve.stderr, strict=True)
+    ]
+    name = f"{SYMBOLS[curve.target]}_QS"
+    shown = f"{at[0]} and {at[-1]}" if at else "nowhere"
+    return Picture(
+        f"{name} over φ",
+        figure,
+        f"{name} over φ: {shown}.",
+        f"{name} with its 95 % band where φ was scored. The lag holds the measured points off "
+        f"the curve, on one side as φ falls and on the other as it rises. {more}".rstrip(),
+    )
+
+
+def _draw_truth(ax: Axes, truth: Truth, ends: tuple[float, float]) -> None:
+    drawn = (truth.phi >= ends[0]) & (truth.phi <= ends[1])
+    dots: dict[str, Any] = {"color": "black", "lw": 1.5, "linestyle": (0, (1, 1.5))}
+    label = style.printable(truth.label)
+    ax.plot(truth.phi[drawn], truth.quasi_steady[drawn], **dots, label=label)
+
+
+def _curve_with_band(
+    ax: Axes, comparison: Comparison, result: EstimatorResult, inside: BoolArray
+) -> None:
+    phi, value, stderr = np.asarray(result.model.table).T
+    own = style.estimator_styles(each.name for each in comparison.results)[result.name]
+    look: dict[str, Any] = {"color": own.colour, "linestyle": own.dashes}
+    ax.plot(phi, value, **look, lw=1.0, alpha=0.35)
+    full = np.where(inside, value, np.nan)
+    ax.plot(phi, full, **look, lw=1.8, label=style.printable(result.label))
+    ends = value - BAND * stderr, value + BAND * stderr
+    ax.fill_between(phi, *ends, where=inside.tolist(), color=own.colour, alpha=0.16, lw=0)
+
+
+def _histogram_behind(ax: Axes, phi: FloatArray, valid_phi: tuple[float, float]) -> None:
+    density, edges = np.histogram(phi, bins=HISTOGRAM_BINS, density=True)
+    behind = ax.twinx()
+    behind.set_zorder(0)
+    ax.set_zorder(1)
+    ax.patch.set_visible(False)
+    # A record can leave a hole in the range: there the curve rests on nothing.
+    grid = np.linspace(*valid_phi, 400)
+    dwelt = dwelt_on(grid, phi)
+    for run in runs_of(dwelt, grid.size):
+        if dwelt[run.start]:
+            ends = float(grid[run.start]), float(grid[run.stop - 1])
+            behind.axvspan(*ends, color=style.SHADE, lw=0)
+    # Entries of the legend for what lies on the axes behind.
+    ax.fill([], [], color=style.SHADE, label=r"where $\varphi$ dwells (5th to 95th percentile)")
+    ax.fill([], [], color=COLUMN, label=r"histogram of $\varphi$")
+    behind.stairs(density, edges, fill=True, color=COLUMN, lw=0)
+    top = float(density.max())
+    behind.set_ylim(0.0, top / HISTOGRAM_SHARE)
+    words = r"histogram: share of rows per unit $\varphi$"
+    behind.set_ylabel(words, fontsize=8.5, color="#777777", loc="bottom")
+    behind.set_yticks([0.0, top], ["0", f"{top:.2g}"])
+    behind.tick_params(labelsize=8, colors="#777777")
+    behind.spines[:].set_visible(False)
