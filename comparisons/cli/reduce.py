@@ -9,16 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from comparisons.cli.command import Command, command_line, drawing, write_asked
+from comparisons.cli.options import RAW, argument, writes
 from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
-from comparisons.cli.shared import (
-    RAW,
-    Command,
-    argument,
-    command_line,
-    drawing,
-    write_asked,
-    writes,
-)
 from surge_core.errors import InputError
 from surge_core.progress import shown_count
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from comparisons.cli.shared import argument, number, whole
+from comparisons.cli.options import argument, number, whole
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:

@@ -6,17 +6,8 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from comparisons.cli.shared import (
-    JSON,
-    REPORT,
-    SERIES,
-    Command,
-    argument,
-    command_line,
-    read_records,
-    whole,
-    write_asked,
-)
+from comparisons.cli.command import Command, command_line, read_records, write_asked
+from comparisons.cli.options import JSON, REPORT, SERIES, argument, whole
 from surge_core.progress import shown_steps
 
 

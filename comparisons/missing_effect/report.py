@@ -133,7 +133,7 @@ def _picture(d: Diagnosis, wheres: tuple[Where, ...]) -> Picture:
     gap = d.gap
     fell = f"{significant(gap.before_rms, 3)} before and " if d.missing else ""
     after = " after" if d.missing else ""
-    return Picture.of(
+    return Picture(
         "The diagnosis in one picture",
         draw_diagnosis(d, wheres),
         f"Measured and simulated outputs of {run.title} from {first:.4g} to {last:.4g} s; rms "

@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,21 +63,9 @@ SPARE_STYLES = (
 
 
 def estimator_styles(names: Iterable[str]) -> dict[str, LineStyle]:
-    """Return the style of each estimator; a known one has the same in every report.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Keys of the estimators.
-    """
-    styles, spare = {}, 0
-    for name in names:
-        if name in KNOWN_STYLES:
-            styles[name] = KNOWN_STYLES[name]
-        else:
-            styles[name] = SPARE_STYLES[spare % len(SPARE_STYLES)]
-            spare += 1
-    return styles
+    """Return the style of each estimator; a known one has the same in every report."""
+    spare = cycle(SPARE_STYLES)
+    return {name: KNOWN_STYLES.get(name) or next(spare) for name in names}
 
 
 def new_figure(width_in: float = WIDTH_IN, height_in: float = 5.0) -> Figure:

@@ -37,13 +37,7 @@ def comparison_document(comparison: Comparison, work: Comparison | None = None) 
 
 
 def record_document(record: CoefficientSeries) -> dict[str, Any]:
-    """Return what a document says of a record.
-
-    Parameters
-    ----------
-    record : CoefficientSeries
-        A reduced record.
-    """
+    """Return what a document says of a record."""
     return {
         "source": record.source,
         "rows": record.n_samples,
@@ -73,13 +67,7 @@ def state_json(code: str, advice: str) -> dict[str, dict[str, str]]:
 
 
 def structure_document(found: FoundStructure) -> dict[str, Any]:
-    """Return the document of ``structure --json``.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        From :func:`find_structure`.
-    """
+    """Return the document of ``structure --json``."""
     from sindy_surge.summary import interval95
 
     fit, known, summary = found.fit, found.inclusion, found.summary

@@ -34,11 +34,6 @@ def operating_points(reduction: Reduction) -> Picture:
     Above the whole record with the quasi-steady cycles in colour, and the cycles alone; below the
     same over the flow of the tip and of the hub probes, where the record has both; kg/s below and
     lbm/s above.
-
-    Parameters
-    ----------
-    reduction : Reduction
-        A reduced record.
     """
     record, keep = reduction.record, _window_rows(reduction)
     flow, ratio = record["Wc25_kg_s"], record["pressure_ratio"]
@@ -79,13 +74,7 @@ def operating_points(reduction: Reduction) -> Picture:
 
 
 def surge_cycles(reduction: Reduction) -> Picture:
-    """Draw the quasi-steady cycles in time (paper, Fig 12, 13 and 16 to 19).
-
-    Parameters
-    ----------
-    reduction : Reduction
-        A reduced record.
-    """
+    """Draw the quasi-steady cycles in time (paper, Fig 12, 13 and 16 to 19)."""
     record, keep = reduction.record, _window_rows(reduction)
     time_s, in_stall = record.time_s[keep], reduction.series.in_stall
     signals = {

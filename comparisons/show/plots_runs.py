@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from comparisons.harness.fit_quality import rms
 from comparisons.page import style
 from comparisons.page.blocks import Picture
 from comparisons.results import SYMBOLS, Comparison, FitRows, Reconstruction, estimator_label
@@ -50,7 +51,9 @@ def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtere
     both = bool(held_out.any() and not held_out.all())
     middle = float(time_s[held_out][0]) if both else None
     figure = _two_panels(rows, own, runs, held_out, "held-out cycles", middle=middle)
-    errors = ", ".join(f"{r.label} {_rms(measured - r.trained[own])}" for r in results)
+    errors = ", ".join(
+        f"{r.label} {significant(rms(measured - r.trained[own]), 2)}" for r in results
+    )
     return Picture(
         f"Reconstructed {NAMES[rows.target]}, {kind} rows of {source}",
         figure,
@@ -107,13 +110,7 @@ def validation(validated: Sequence[Reconstruction]) -> Picture:
 
 
 def errors_in_time(comparison: Comparison) -> Picture:
-    """Draw what the free run of each estimator leaves, over time, all to one scale.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-    """
+    """Draw what the free run of each estimator leaves, over time, all to one scale."""
     rows, results = comparison.rows, comparison.results
     # Records of one test keep their order on the clock; others may overlap, so rows are counted.
     by_clock = bool(np.all(np.diff(rows.time_s) > 0.0))
@@ -228,7 +225,3 @@ def _two_panels(
     lower.set_xlabel("facility clock [s]")
     style.legend_above(figure, lower)
     return figure
-
-
-def _rms(error: FloatArray) -> str:
-    return significant(float(np.sqrt(np.mean(error**2))), 2)

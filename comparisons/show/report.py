@@ -32,7 +32,6 @@ from comparisons.results import (
 )
 from comparisons.results.names import NAMES
 from comparisons.show import plots_curve, plots_record, plots_runs
-from comparisons.show.plots_tau_trial import tau_trial
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -130,13 +129,7 @@ def render_report(
 
 
 def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Part, ...]]]:
-    """Return the sections of a report as headings with the parts that hold anything, in order.
-
-    Parameters
-    ----------
-    sections : sequence of ReportSection
-        What the report is about.
-    """
+    """Return the sections of a report as headings with the parts that hold anything, in order."""
     return [(section.title, _parts(section)) for section in sections]
 
 
@@ -173,15 +166,7 @@ def _parts(section: ReportSection) -> tuple[Part, ...]:
 
 
 def truth_list(fit: Comparison, truth: Truth) -> Bullets:
-    """Say how far each estimator is from the truth that a simulated record was made with.
-
-    Parameters
-    ----------
-    fit : Comparison
-        Estimators side by side.
-    truth : Truth
-        The truth.
-    """
+    """Say how far each estimator is from the truth that a simulated record was made with."""
     items = []
     for row in fit.table:
         model = fit.result(row.estimator).model
@@ -272,7 +257,7 @@ def _trial(section: ReportSection) -> tuple[Block, ...]:
     if fit is None or fit.rows.target != "psi_p":
         return ()
     true_s = None if truth is None else truth.time_constant_s
-    return (tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
+    return (plots_curve.tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
 
 
 def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:

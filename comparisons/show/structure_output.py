@@ -20,13 +20,7 @@ LEAST_INCLUSION = 0.01
 
 
 def structure_text(found: FoundStructure) -> str:
-    """Return all that is known as text of at most 100 columns.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        From :func:`find_structure`.
-    """
+    """Return all that is known as text of at most 100 columns."""
     lines = _wrapped(_opening(found))
     if found.refused:
         code, advice = found.state
@@ -35,13 +29,7 @@ def structure_text(found: FoundStructure) -> str:
 
 
 def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
-    """Return the parts of a report section on the terms of the characteristic.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        From :func:`find_structure`.
-    """
+    """Return the parts of a report section on the terms of the characteristic."""
     opening = Words(f"{_opening(found)}.")
     code, advice = found.state
     if found.refused:

@@ -20,15 +20,7 @@ WORK_SCHEMA = "sindy-surge/work/1"
 
 
 def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
-    """Return the fit as plain JSON types.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        The fit.
-    source : str
-        The record.
-    """
+    """Return the fit as plain JSON types."""
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return {
         "schema": WORK_SCHEMA,
