@@ -195,12 +195,9 @@ def take_away(
     """
     if folder is None:
         return []
-    from comparisons.show.figures import write_curve, write_figures
+    from comparisons.show.figures import write_figures
 
-    n = write_figures(pages, folder)
-    if answer.curve is not None:
-        write_curve(answer.curve, folder)
-        n += 2
+    n = write_figures(pages, folder, answer.curve)
     return [f"figures and tables: {folder} ({n} files)"]
 
 

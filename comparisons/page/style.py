@@ -174,17 +174,6 @@ def robust_limits(*signals: FloatArray, margin: float = 0.08) -> tuple[float, fl
     return float(low - pad), float(high + pad)
 
 
-def plain_numbers(*axes: Any) -> None:
-    """Write logarithmic axes, such as ``ax.xaxis``, with plain numbers at 1, 2 and 5."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in axes:
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-
-
 @cache
 def _glyphs() -> frozenset[int]:
     from matplotlib.font_manager import findfont

@@ -75,8 +75,7 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
     symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
     ax.set_ylabel(f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]")
-    # Above the axes: inside them it would lie on the histogram or on the curves.
-    style.legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)
+    style.legend_above(figure, ax)
     places = " and ".join(f"φ = {end:.3f}" for end in ends)
     known = "" if truth is None else f" Dotted black: {truth.label}."
     return Picture(
@@ -174,6 +173,8 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         no worse within two paired errors; each estimator as a ring at its τ and the error of its
         own reconstruction, with ± 2 standard errors.
     """
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     figure = style.new_figure(height_in=4.8)
     ax = style.dress(figure.add_subplot())
     _trial_errors(ax, trial)
@@ -187,7 +188,9 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         ax.set_title(title, fontsize=8.5, color=style.QUIET, loc="right")
     ax.set_xscale("log")
     ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
-    style.plain_numbers(ax.xaxis)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel(r"time constant $\tau$ [ms]")
     ax.set_ylabel(f"rms of the reconstruction of {style.coefficient_symbol(trial.target)} [-]")
     style.legend_above(figure, ax, columns=2)

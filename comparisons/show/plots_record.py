@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.flow import LBM_KG
@@ -137,7 +136,7 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
     ax.set_xlim(*style.robust_limits(phi))
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
     ax.set_ylabel(f"instantaneous {style.coefficient_symbol(target)} [-]")
-    style.legend(ax, loc="best")
+    style.legend_above(figure, ax)
     symbol = SYMBOLS[target]
     return Picture(
         f"{symbol} over φ, {series.source}",
@@ -193,15 +192,7 @@ def _window_rows(reduction: Reduction) -> BoolArray:
 
 
 def _pounds_above(ax: Axes) -> None:
-    axis = ax.secondary_xaxis("top", functions=(_to_pounds, _to_kilograms))
+    axis = ax.secondary_xaxis("top", functions=(lambda kg: kg / LBM_KG, lambda lbm: lbm * LBM_KG))
     axis.set_xlabel("[lbm/s]", fontsize=9, color=style.QUIET)
     axis.tick_params(labelsize=8.5, colors=style.QUIET)
     axis.spines["top"].set_color("#888888")
-
-
-def _to_pounds(kilograms: ArrayLike) -> ArrayLike:
-    return np.asarray(kilograms, dtype=np.float64) / LBM_KG
-
-
-def _to_kilograms(pounds: ArrayLike) -> ArrayLike:
-    return np.asarray(pounds, dtype=np.float64) * LBM_KG
