@@ -30,7 +30,6 @@ drawing = partial(shown_over, unit="picture", words="drawing")
 # What the line on a written file calls it, by the option.
 LABELS = {
     "json": "numbers",
-    "python": "equation",
     "out": "reconstruction",
     "save_facility": "facility",
 }

@@ -65,23 +65,23 @@ def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details:
     return Argument(flags, details, written=True, suffixes=suffixes)
 
 
-def whole(low: int, high: int | None = None) -> Callable[[str], int]:
+def whole(low: int, high: int) -> Callable[[str], int]:
     """Return a type of options: whole numbers within limits.
 
     Parameters
     ----------
     low, high : int
-        The least and the greatest that is taken; no greatest without it.
+        The least and the greatest that is taken.
     """
-    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = low - 1
-        if value < low or (high is not None and value > high):
-            raise argparse.ArgumentTypeError(f"expected a whole number {limits}, found '{text}'")
+        if not low <= value <= high:
+            words = f"expected a whole number from {low} to {high}, found '{text}'"
+            raise argparse.ArgumentTypeError(words)
         return value
 
     return read
@@ -123,9 +123,9 @@ def time_constant(text: str) -> float:
     )
 
 
-def seed(what: str = "sensors", highest: int = 2**32 - 1) -> Argument:
-    """Return the argument for the seed of something random."""
-    words = f"seed of the {what} (default: 0)"
+def seed(highest: int = 2**32 - 1) -> Argument:
+    """Return the argument for the seed of a rig."""
+    words = "seed of the sensors (default: 0)"
     return argument("--seed", type=whole(0, highest), default=0, metavar="N", help=words)
 
 
