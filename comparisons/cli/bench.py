@@ -7,49 +7,29 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from comparisons.cli.shared import (
-    JSON,
-    METHOD,
-    SCHEDULER,
-    Command,
-    argument,
-    check_folder,
-    command_line,
-    whole,
-    write_asked,
-)
+from comparisons.cli.command import Command, check_folder, command_line, write_asked
+from comparisons.cli.options import JSON, METHOD, argument, whole
+from comparisons.cli.study import OF_CELLS, run_cells
 
 BENCH_SCHEMA = "sindy-surge/bench/1"
 
 
 def _run(given: argparse.Namespace) -> Iterator[str]:
-    from joblib import cpu_count
-
     from comparisons.missing_effect.firm_names import FirmNames
     from comparisons.page.blocks import Part, Picture, Table, Words
     from comparisons.page.html import render_page
     from comparisons.show.figures import write_figures
     from comparisons.study.bench import COUNTS, bench_rows, bench_spec, draw_ranks, ranks_of
-    from comparisons.study.design import cells_of
-    from comparisons.study.run import check_study, run_study
+    from comparisons.study.run import check_study
     from surge_core.display import Grid
     from surge_core.files import write_whole
-    from surge_core.progress import shown_count
     from surge_core.rounding import significant
 
     folder = check_folder(given.out)
     naming = f"{FirmNames.__module__}:{FirmNames.__name__}"
     spec = bench_spec(given.machines, given.seed, given.method, given.rig or (), naming)
     check_study(spec, folder, resume=given.resume)
-    with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
-        table = run_study(
-            spec,
-            folder,
-            jobs=given.jobs or cpu_count(),
-            scheduler=given.scheduler,
-            resume=given.resume,
-            progress=progress,
-        )
+    table = run_cells(given, spec)
     rows, ranks = bench_rows(table), ranks_of(table)
     cells = tuple(
         tuple(
@@ -65,7 +45,7 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
         f"{ranks.critical_difference:.2f} (Nemenyi, 5 %); chance of such ranks if all were alike "
         f"{significant(ranks.p_value, 2)} (Friedman)"
     )
-    picture = Picture.of("Mean ranks", draw_ranks(ranks), said, said)
+    picture = Picture("Mean ranks", draw_ranks(ranks), said, said)
     parts = (Part("", (Table.of(grid), Words(said), picture)),)
     pages = [("Methods on machines drawn at random", parts)]
     write_whole(
@@ -102,14 +82,7 @@ COMMAND = Command(
             "--rig", action="append", metavar="NAME", help="of this rig alone; may be repeated"
         ),
         argument("--out", type=Path, default=Path("bench"), metavar="DIR", help="default: bench"),
-        argument(
-            "--resume", action="store_true", help="go on with the bench in DIR; finished fits stay"
-        ),
-        argument(
-            "--jobs", type=whole(1, 1024), default=0, metavar="N",
-            help="worker processes (default: one a core)",
-        ),
-        SCHEDULER,
+        *OF_CELLS,
         JSON,
     ),
     run=_run,

@@ -4,34 +4,36 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import (
-    FIGURES,
-    HOLD,
-    JSON,
-    METHOD,
-    REPORT,
-    SERIES,
+from comparisons.cli.command import (
     Command,
-    argument,
     check_folder,
     command_line,
     drawing,
     fitting,
     measuring,
     read_records,
-    reads,
     take_away,
+    write_asked,
+)
+from comparisons.cli.options import (
+    FIGURES,
+    HOLD,
+    JSON,
+    METHOD,
+    NO_TWINS,
+    REPORT,
+    SERIES,
+    argument,
+    reads,
     time_constant,
     whole,
-    write_asked,
     writes,
 )
 from surge_core.errors import InputError
-from surge_core.fit_state import WITHHOLDING
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -41,16 +43,17 @@ if TYPE_CHECKING:
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.answer import answer_of
-    from comparisons.harness.methods import check_method
+    from comparisons.harness.methods import OwnMethod
     from comparisons.harness.saved_models import save_models
     from comparisons.page.html import render_page
     from comparisons.show.json_output import comparison_document
     from comparisons.show.report import ReportSection, report_pages
+    from comparisons.show.table import comparison_table
 
     if given.figures:
         check_folder(given.figures)
     for method in given.method:
-        check_method(method)
+        OwnMethod(method).check()
     records = read_records(given.series)
     comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
@@ -66,11 +69,17 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
     if given.save:
-        models = models_to_save(comparison, work)
+        models = {name: model for fit in (comparison, work) if fit for name, model in fit.models}
         save_models(models, given.save, comparison.recommended, records)
         written.append(f"models: {given.save}")
     written += take_away(given.figures, pages, answer)
-    lines = [str(answer), "", *comparison_lines(comparison, stated)]
+    lines = [
+        str(answer),
+        "",
+        f"Pressure coefficient ψ' of {title}\n\n{comparison_table(comparison)}\n",
+    ]
+    if stated is not None:
+        lines.append(f"Work coefficient ψ of {title}\n\n{comparison_table(stated)}\n")
     return *lines, *_by_rise(records), *written
 
 
@@ -80,44 +89,6 @@ def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
 
     found = [psi_by_rise(record.history) for record in records if record.psi is not None]
     return list(dict.fromkeys(f"{caution.text}\n" for caution in found if caution is not None))
-
-
-def comparison_lines(comparison: Comparison, work: Comparison | None) -> Iterator[str]:
-    """Return the tables of both coefficients.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Of ψ'.
-    work : Comparison or None
-        Of ψ.
-    """
-    from comparisons.show.table import comparison_table
-
-    names = ", ".join(Path(record.source).name for record in comparison.records)
-    yield f"Pressure coefficient ψ' of {names}\n\n{comparison_table(comparison)}\n"
-    if work is not None:
-        yield f"Work coefficient ψ of {names}\n\n{comparison_table(work)}\n"
-
-
-def models_to_save(comparison: Comparison, work: Comparison | None = None) -> dict[str, Any]:
-    """Return the models that `reconstruct` may run, by name.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Of ψ'. A refused fit is no model; one with effects has a file of its own.
-    work : Comparison or None
-        Of ψ; its models are called ``NAME:psi``.
-    """
-    models = {
-        result.name: result.model
-        for result in comparison.results
-        if result.state not in WITHHOLDING and result.extended is None
-    }
-    if work is not None:
-        models |= {f"{result.name}:psi": result.model for result in work.results}
-    return models
 
 
 def _compare(
@@ -146,7 +117,7 @@ def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
     """Return the default estimators, --model's and --method's."""
     from classic_ml.whole_record_fit import N_TWINS
     from comparisons.harness.estimators import default_estimators
-    from comparisons.harness.methods import method_spec
+    from comparisons.harness.methods import OwnMethod
     from comparisons.missing_effect.extended_estimator import extended_specs
     from comparisons.missing_effect.extended_file import load_extended
 
@@ -165,7 +136,7 @@ def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
     )
     if given.model is not None:
         own += tuple(extended_specs(load_extended(given.model), [spec.name for spec in own]))
-    specs = (*own, *map(method_spec, given.method))
+    specs = (*own, *(OwnMethod(method).spec() for method in given.method))
     names = [spec.name for spec in specs]
     if len(set(names)) != len(names):
         raise InputError("--method", expected="each name once", found=", ".join(names[len(own) :]))
@@ -205,12 +176,7 @@ COMMAND = Command(
             help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is "
             "fitted",
         ),
-        argument(
-            "--no-twins",
-            action="store_true",
-            help="do not measure twins of the records: quicker, but the interval of τ then lacks "
-            "the errors of calibration and of noise near zero flow",
-        ),
+        NO_TWINS,
     ),
     run=_run,
 )

@@ -7,19 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import (
-    JSON,
-    REPORT,
-    Command,
-    argument,
-    command_line,
-    measuring,
-    read_records,
-    reads,
-    whole,
-    write_asked,
-    writes,
-)
+from comparisons.cli.command import Command, command_line, measuring, read_records, write_asked
+from comparisons.cli.options import JSON, NO_TWINS, REPORT, argument, reads, whole, writes
 from surge_core.errors import InputError
 from surge_core.progress import shown_over, shown_steps
 
@@ -244,12 +233,7 @@ COMMAND = Command(
             action="store_true",
             help="say which further measurement would separate the names of an alias set",
         ),
-        argument(
-            "--no-twins",
-            action="store_true",
-            help="do not measure twins of records from raw counts: quicker, but every name is "
-            "provisional",
-        ),
+        NO_TWINS,
         argument(
             "--max-effects",
             type=int,

@@ -7,15 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import (
-    JSON,
-    REPORT,
-    Command,
-    argument,
-    command_line,
-    reads,
-    write_asked,
-)
+from comparisons.cli.command import Command, command_line, write_asked
+from comparisons.cli.options import JSON, REPORT, argument, reads
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 

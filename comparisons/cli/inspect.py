@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 
-from comparisons.cli.shared import Command, argument, reads, write_asked, writes
+from comparisons.cli.command import Command, write_asked
+from comparisons.cli.options import argument, reads, writes
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 

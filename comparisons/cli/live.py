@@ -13,9 +13,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from comparisons.cli.reduce import SERIES_SUFFIXES
-from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
-from comparisons.cli.shared import Command, argument, number, whole
+from comparisons.cli.command import Command
+from comparisons.cli.options import argument, number, whole
+from comparisons.cli.reduce import (
+    REDUCTION,
+    SERIES_SUFFIXES,
+    options_named,
+    reduction_settings,
+)
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target
 

@@ -8,15 +8,8 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import (
-    JSON,
-    SERIES,
-    Command,
-    argument,
-    read_records,
-    whole,
-    write_asked,
-)
+from comparisons.cli.command import Command, read_records, write_asked
+from comparisons.cli.options import JSON, SERIES, argument, whole
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:

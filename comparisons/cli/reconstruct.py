@@ -7,18 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import (
-    JSON,
-    REPORT,
-    SERIES,
-    Command,
-    argument,
-    command_line,
-    drawing,
-    reads,
-    write_asked,
-    writes,
-)
+from comparisons.cli.command import Command, command_line, drawing, write_asked
+from comparisons.cli.options import JSON, REPORT, SERIES, argument, reads, writes
 from surge_core.errors import InputError
 from surge_core.progress import shown_over
 

@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import JSON, REPORT, Command, command_line, seed, write_asked
+from comparisons.cli.command import Command, command_line, write_asked
+from comparisons.cli.options import JSON, REPORT, seed
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:

@@ -6,17 +6,8 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from comparisons.cli.shared import (
-    FIGURES,
-    RAW,
-    Command,
-    argument,
-    check_folder,
-    command_line,
-    drawing,
-    take_away,
-    working,
-)
+from comparisons.cli.command import Command, check_folder, command_line, drawing, take_away, working
+from comparisons.cli.options import FIGURES, NO_TWINS, RAW, argument
 from surge_core.files import check_apart, to_strict_json, write_whole
 from surge_core.progress import shown_steps
 
@@ -28,7 +19,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
     from comparisons.analysis import STEPS, analyse
     from comparisons.page.html import render_page
-    from comparisons.show.run_output import run_document, run_pages
+    from comparisons.show.report import report_pages
+    from comparisons.show.run_output import run_document, run_section
 
     folder = check_folder(given.out)
     if given.figures:
@@ -39,7 +31,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         twins = not given.no_twins
         found = analyse(given.raw, given.test, twins=twins, begin=begin, progress=working)
         begin("drawing the page")
-        pages, title = run_pages(found), f"Surge record {given.raw.name}"
+        pages, title = report_pages([run_section(found)]), f"Surge record {given.raw.name}"
         page = render_page(pages, title=title, command=command_line(), progress=drawing)
         numbers = to_strict_json(run_document(found))
     folder.mkdir(parents=True, exist_ok=True)
@@ -68,12 +60,7 @@ COMMAND = Command(
             help="folder for the page, the numbers and the series (default: run)",
         ),
         FIGURES,
-        argument(
-            "--no-twins",
-            action="store_true",
-            help="do not measure twins of the record: twice as quick, but the interval of τ lacks "
-            "the errors of calibration, and names of missing effects are provisional",
-        ),
+        NO_TWINS,
     ),
     run=_run,
 )

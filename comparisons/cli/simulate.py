@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from comparisons.cli.shared import Command, argument, number, seed
+from comparisons.cli.command import Command
+from comparisons.cli.options import argument, number, seed
 
 # What a rig lacks, by the name of the option.
 _LACKS = {"lumped": ("draw",), "distributed": ("case", "hide", "hide_size")}

@@ -4,36 +4,34 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from pathlib import Path
 
-from comparisons.cli.shared import (
-    JSON,
-    REPORT,
-    SERIES,
-    Command,
-    argument,
-    command_line,
-    read_records,
-    whole,
-    write_asked,
-)
+from comparisons.cli.command import Command, command_line, read_records, write_asked
+from comparisons.cli.options import JSON, REPORT, SERIES, argument, whole
 from surge_core.progress import shown_steps
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.structure_fit import find_structure
-    from comparisons.show.structure_output import structure_document, structure_text
-    from comparisons.show.structure_report import structure_report
+    from comparisons.page.html import render_page
+    from comparisons.show.json_output import structure_document
+    from comparisons.show.structure_output import structure_parts, structure_text
 
     with shown_steps(3) as begin:
         begin("reading")
         records = read_records(given.series)
         begin("choosing terms")
         found = find_structure(records, rows=given.rows, n_bootstrap=given.bootstrap)
+        names = ", ".join(Path(record.source).name for record in found.records)
         begin("writing")
         written = write_asked(
             given,
             json=lambda: structure_document(found),
-            report=lambda: structure_report(found, command=command_line()),
+            report=lambda: render_page(
+                [(names, structure_parts(found))],
+                title=f"Structure of the characteristic of {names}",
+                command=command_line(),
+            ),
         )
     return structure_text(found), *written
 

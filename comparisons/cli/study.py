@@ -5,21 +5,26 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from comparisons.cli.shared import SCHEDULER, Command, argument, command_line, whole
+from comparisons.cli.command import Command, command_line
+from comparisons.cli.options import argument, whole
 from surge_core.errors import InputError
+from surge_core.progress import shown_count
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from comparisons.study.spec import StudySpec
 
 
 def _run(given: argparse.Namespace) -> Iterator[str]:
-    from joblib import cpu_count
-
     from comparisons.study.comparison import compare_scores
     from comparisons.study.design import cells_of
     from comparisons.study.report import render_study_report
-    from comparisons.study.run import RESULTS, check_study, run_study
+    from comparisons.study.run import RESULTS, check_study
     from comparisons.study.spec import read_spec
     from surge_core.files import write_whole
-    from surge_core.progress import shown_count
 
     spec = read_spec(given.spec)
     if not given.dry_run:
@@ -31,15 +36,7 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     yield f"axes: {', '.join(spec.axes) or 'none'}"
     if given.dry_run:
         return
-    with shown_count(unit="cell", total=cells) as progress:
-        table = run_study(
-            spec,
-            given.out,
-            jobs=given.jobs or cpu_count(),
-            scheduler=given.scheduler,
-            resume=given.resume,
-            progress=progress,
-        )
+    table = run_cells(given, spec)
     reasons = table[table["state"] == "failed"]["reason"].value_counts()
     if reasons.sum() == len(table):
         raise InputError(
@@ -59,6 +56,35 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     yield f"report: {page}"
 
 
+def run_cells(given: argparse.Namespace, spec: StudySpec) -> pd.DataFrame:
+    """Run the cells of a study with the options of ``OF_CELLS``; return all fits as a table."""
+    from joblib import cpu_count
+
+    from comparisons.study.design import cells_of
+    from comparisons.study.run import run_study
+
+    jobs = given.jobs or cpu_count()
+    options = {"jobs": jobs, "scheduler": given.scheduler, "resume": given.resume}
+    with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
+        return run_study(spec, given.out, **options, progress=progress)
+
+
+# How the cells of a study are run, `bench` among them.
+OF_CELLS = (
+    argument("--resume", action="store_true", help="go on with what is in DIR; finished fits stay"),
+    argument(
+        "--jobs",
+        type=whole(1, 1024),
+        default=0,
+        metavar="N",
+        help="worker processes on this machine (default: one a core; 1: none)",
+    ),
+    argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers do the work instead",
+    ),
+)
 COMMAND = Command(
     "study",
     help="compare methods over a declared design: thousands of fits into one table",
@@ -68,17 +94,7 @@ COMMAND = Command(
     arguments=(
         argument("spec", type=Path, metavar="SPEC.toml", help="what is compared over what"),
         argument("--out", type=Path, required=True, metavar="DIR", help="folder"),
-        argument(
-            "--resume", action="store_true", help="go on with the study in DIR; finished cells stay"
-        ),
-        argument(
-            "--jobs",
-            type=whole(1, 1024),
-            default=0,
-            metavar="N",
-            help="worker processes on this machine (default: one a core; 1: none)",
-        ),
-        SCHEDULER,
+        *OF_CELLS,
         argument("--dry-run", action="store_true", help="say how many cells there are, and stop"),
     ),
     run=_run,

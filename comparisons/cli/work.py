@@ -5,16 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 
-from comparisons.cli.shared import (
-    JSON,
-    RAW,
-    Command,
-    argument,
-    fitting,
-    number,
-    time_constant,
-    write_asked,
-)
+from comparisons.cli.command import Command, fitting, write_asked
+from comparisons.cli.options import JSON, RAW, argument, number, time_constant
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 

@@ -25,17 +25,7 @@ CORNER_RATIO = 2.5
 def comparison_cautions(
     records: Sequence[CoefficientSeries], rows: FitRows, results: tuple[EstimatorResult, ...]
 ) -> tuple[Caution, ...]:
-    """Return what a reader should know of all lines of a comparison.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        The records.
-    rows : FitRows
-        The rows that were fitted.
-    results : tuple of EstimatorResult
-        What the estimators made of them.
-    """
+    """Return what a reader should know of all lines of a comparison."""
     cautions = [*_of_rows(records, rows, results), *_of_records(records), *_taus_apart(results)]
     cautions += _shared_rows(results)
     if rows.target == "psi_p":
@@ -83,13 +73,7 @@ def tau_caution(
 
 
 def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
-    """Say why ψ is not known, where a ledger shows that it is not.
-
-    Parameters
-    ----------
-    history : sequence of LedgerEntry
-        Ledger of a record.
-    """
+    """Say why ψ is not known, where a ledger shows that it is not."""
     dropped = [(entry, dropped) for entry in history for dropped in entry.dropped]
     why = [d.why for entry, d in dropped if entry.did == "ψ is not known" and d.what == "ψ"]
     if not why:
@@ -103,25 +87,13 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
 
 
 def psi_by_rise(history: Sequence[LedgerEntry]) -> Caution | None:
-    """Say that the ψ of a record leads to a curve that is too high, where its ledger shows it.
-
-    Parameters
-    ----------
-    history : sequence of LedgerEntry
-        Ledger of a record.
-    """
+    """Say that the ψ of a record leads to a curve that is too high, where its ledger shows it."""
     forms = [e.parameters.get("form") for e in history if e.step == "work coefficient"]
     return Caution("psi_by_rise") if "temperature-rise" in forms else None
 
 
 def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float]]:
-    """Return each record's median corrected speed where they are too far apart for one curve.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        The records.
-    """
+    """Return each record's median corrected speed where they are too far apart for one curve."""
     known = [
         (r.source, float(np.median(r.Nc_frac[r.scored]))) for r in records if r.Nc_frac is not None
     ]
@@ -130,13 +102,7 @@ def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float
 
 
 def filter_cautions(rows: FitRows) -> tuple[Caution, ...]:
-    """Warn where the spectra of ψ' and φ end at different corners: they passed different filters.
-
-    Parameters
-    ----------
-    rows : FitRows
-        The rows.
-    """
+    """Warn where the spectra of ψ' and φ end at different corners, those of two filters."""
     psi_hz, phi_hz = (
         emptied_above_hz(signal, rows.labels, sample_period_s=rows.sample_period_s)
         for signal in (rows.measured, rows.phi)

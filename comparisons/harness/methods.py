@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -54,80 +54,79 @@ def method_name(given: str) -> str:
     return given.rpartition(":")[2]
 
 
-def check_method(
-    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
-) -> None:
-    """Refuse, before anything is computed, a class that cannot be had, made or fitted.
+@dataclass(frozen=True)
+class OwnMethod:
+    """A method by what names it.
 
     Parameters
     ----------
     given : str
         ``module:Class`` or a name.
-    name : str, optional
-        What it is called; without it as by :func:`method_name`.
-    parameters : mapping, optional
-        What the class is made with.
-
-    Raises
-    ------
-    InputError
-        Naming the method.
-    """
-    called = name or method_name(given)
-    made = _made(given, called, parameters or {}, 1e-3)
-    lacking = [name for name in ("fit", "predict") if not callable(getattr(made, name, None))]
-    if lacking:
-        raise InputError(
-            f"method {called}",
-            expected="a class with fit(X, y) and predict(X)",
-            found=f"{type(made).__name__} without {' and '.join(lacking)}",
-        )
-
-
-def method_spec(
-    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
-) -> EstimatorSpec:
-    """Return a method as an estimator of a comparison.
-
-    Parameters
-    ----------
-    given : str
-        ``module:Class`` or a name.
-    name : str, optional
-        What it is called; without it as by :func:`method_name`.
-    parameters : mapping, optional
+    called : str
+        What it is called; as by :func:`method_name` without it.
+    parameters : mapping
         What the class is made with.
     """
-    called = name or method_name(given)
 
-    def fit(rows: FitRows, _: Sequence[CoefficientSeries]) -> OwnFit:
-        made = _made(given, called, parameters or {}, rows.sample_period_s)
+    given: str
+    called: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.called or method_name(self.given)
+
+    def check(self) -> None:
+        """Refuse, before anything is computed, a class that cannot be had, made or fitted.
+
+        Raises
+        ------
+        InputError
+            Naming the method.
+        """
+        made = self._made(1e-3)
+        lacking = [name for name in ("fit", "predict") if not callable(getattr(made, name, None))]
+        if lacking:
+            raise InputError(
+                f"method {self.name}",
+                expected="a class with fit(X, y) and predict(X)",
+                found=f"{type(made).__name__} without {' and '.join(lacking)}",
+            )
+
+    def spec(self) -> EstimatorSpec:
+        """Return it as an estimator of a comparison."""
+        return EstimatorSpec(self.name, self.name, self._fitted)
+
+    def naming(self) -> Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None:
+        """Return ``firm_names`` of one that names effects in place of a fit; None for others."""
+        naming: Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None
+        naming = getattr(self._made(1e-3), "firm_names", None)
+        return naming
+
+    def _fitted(self, rows: FitRows, _: Sequence[CoefficientSeries]) -> OwnFit:
+        made = self._made(rows.sample_period_s)
         # Copies: what it scales in place is scored as measured.
         arrays = rows.X.copy(), rows.measured.copy()
-        fitted = _asked(called, made.fit, *arrays, segments=rows.labels.copy())
-        return OwnFit(called, made if fitted is None else fitted)
+        fitted = _asked(self.name, made.fit, *arrays, segments=rows.labels.copy())
+        return OwnFit(self.name, made if fitted is None else fitted)
 
-    return EstimatorSpec(called, called, fit)
-
-
-def naming_of(
-    given: str, name: str | None = None, parameters: Mapping[str, Any] | None = None
-) -> Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None:
-    """Return ``firm_names`` of a method that names effects in place of a fit; None for others.
-
-    Parameters
-    ----------
-    given : str
-        ``module:Class`` or a name.
-    name : str, optional
-        What it is called; without it as by :func:`method_name`.
-    parameters : mapping, optional
-        What the class is made with.
-    """
-    made = _made(given, name or method_name(given), parameters or {}, 1e-3)
-    naming: Callable[[Sequence[CoefficientSeries]], Sequence[str]] | None
-    naming = getattr(made, "firm_names", None)
-    return naming
+    def _made(self, sample_period_s: float) -> Any:
+        """Make an estimator; the sample period is passed where its class takes one."""
+        factory = _class_of(self.given, self.name)
+        options = dict(self.parameters)
+        try:
+            if "sample_period_s" in inspect.signature(factory).parameters:
+                options.setdefault("sample_period_s", sample_period_s)
+            return factory(**options)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"method {self.name}: parameters",
+                expected=f"what {self.given} takes",
+                found=f"{type(error).__name__}: {error}",
+            ) from error
 
 
 @dataclass(frozen=True)
@@ -236,24 +235,6 @@ def _class_of(given: str, called: str) -> Any:
             expected=f"a class at {module}:{name}",
             found=f"{type(error).__name__}: {error}",
             remedy="install its package where the workers run, or put its folder into PYTHONPATH",
-        ) from error
-
-
-def _made(given: str, called: str, parameters: Mapping[str, Any], sample_period_s: float) -> Any:
-    """Make an estimator; the sample period is passed where its class takes one."""
-    factory = _class_of(given, called)
-    options = dict(parameters)
-    try:
-        if "sample_period_s" in inspect.signature(factory).parameters:
-            options.setdefault("sample_period_s", sample_period_s)
-        return factory(**options)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(
-            f"method {called}: parameters",
-            expected=f"what {given} takes",
-            found=f"{type(error).__name__}: {error}",
         ) from error
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any, Self
 
@@ -33,33 +32,6 @@ def _needs(module: str, package: str) -> None:
         )
 
 
-def _simulated(
-    phi: FloatArray,
-    segments: IntArray | None,
-    start: FloatArray,
-    step: Callable[[FloatArray, FloatArray], FloatArray],
-    lags: int,
-) -> FloatArray:
-    """Run all segments side by side: ``step(y, phi)`` takes the last ``lags`` rows of each.
-
-    ``y`` has shape (segments, lags) and ``phi`` (segments, lags + 1), the newest last.
-    """
-    runs = runs_of(segments, phi.size)
-    out = np.empty(phi.size)
-    longest = max(run.stop - run.start for run in runs)
-    rows = np.array([np.minimum(np.arange(longest), r.stop - r.start - 1) + r.start for r in runs])
-    flow = phi[rows]
-    # Before its first row a segment rests.
-    flow = np.hstack([np.repeat(flow[:, :1], lags, axis=1), flow])
-    found = np.repeat(start[[run.start for run in runs]][:, None], lags + longest, axis=1)
-    for k in range(lags + 1, lags + longest):
-        after = step(found[:, k - lags : k], flow[:, k - lags : k + 1])
-        found[:, k] = np.clip(after, -FARTHEST, FARTHEST)
-    for run, values in zip(runs, found, strict=True):
-        out[run] = values[lags : lags + run.stop - run.start]
-    return out
-
-
 def _lagged(
     phi: FloatArray, y: FloatArray, segments: IntArray | None, lags: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -80,15 +52,15 @@ def _lagged(
     return np.hstack([past, phi[rows[:, None] + np.append(before, 0)]]), y[rows], rows
 
 
-class _Narx(ABC):
-    """What networks and FROLS share: inputs of two lags, one step and the free run by it."""
+class _Simulated(ABC):
+    """What is run freely, step by step, from the last rows of ψ' and φ."""
 
-    lags = 2
+    lags = 1
     level_ = 0.0
 
     @abstractmethod
-    def _step(self, inputs: FloatArray) -> FloatArray:
-        """Return ψ' from rows of ψ' and φ before and φ now."""
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return the next ψ' from the last ``lags`` and φ at these rows and the next, (n, …)."""
 
     def predict(
         self,
@@ -96,13 +68,29 @@ class _Narx(ABC):
         segments: IntArray | None = None,
         start: FloatArray | None = None,
     ) -> FloatArray:
-        """Return the free run of ψ', of shape (n,)."""
+        """Return the free run of ψ', of shape (n,): all segments are run side by side."""
         begin = np.full(len(X), self.level_) if start is None else start
+        lags, phi, runs = self.lags, X[:, 0], runs_of(segments, len(X))
+        longest = max(run.stop - run.start for run in runs)
+        to = np.arange(longest)
+        rows = np.array([np.minimum(to, run.stop - run.start - 1) + run.start for run in runs])
+        flow = phi[rows]
+        # Before its first row a segment rests.
+        flow = np.hstack([np.repeat(flow[:, :1], lags, axis=1), flow])
+        found = np.repeat(begin[[run.start for run in runs]][:, None], lags + longest, axis=1)
+        for k in range(lags + 1, lags + longest):
+            after = self._step(found[:, k - lags : k], flow[:, k - lags : k + 1])
+            found[:, k] = np.clip(after, -FARTHEST, FARTHEST)
+        out = np.empty(phi.size)
+        for run, values in zip(runs, found, strict=True):
+            out[run] = values[lags : lags + run.stop - run.start]
+        return out
 
-        def step(y: FloatArray, phi: FloatArray) -> FloatArray:
-            return self._step(np.hstack([y, phi]))
 
-        return _simulated(X[:, 0], segments, begin, step, self.lags)
+class _Narx(_Simulated):
+    """What networks and FROLS share: inputs of two lags, and their own step ahead."""
+
+    lags = 2
 
     def one_step(
         self, X: FloatArray, y: FloatArray, segments: IntArray | None = None
@@ -110,7 +98,7 @@ class _Narx(ABC):
         """Return ψ' one step ahead, of shape (n,), and which rows have one."""
         inputs, _, rows = _lagged(X[:, 0], y, segments, self.lags)
         out, known = y.copy(), np.zeros(y.size, dtype=np.bool_)
-        out[rows], known[rows] = self._step(inputs), True
+        out[rows], known[rows] = self._step(*np.hsplit(inputs, [self.lags])), True
         return out, known
 
 
@@ -131,12 +119,13 @@ class NarxNetwork(_Narx):
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
+        from sklearn.compose import TransformedTargetRegressor
         from sklearn.neural_network import MLPRegressor
+        from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import StandardScaler
 
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
-        self.level_, self.spread_ = float(np.mean(target)), float(np.std(target))
-        self.scaler_ = StandardScaler().fit(inputs)
+        self.level_ = float(np.mean(target))
         network = MLPRegressor(
             hidden_layer_sizes=(self.hidden,),
             activation="tanh",
@@ -144,16 +133,16 @@ class NarxNetwork(_Narx):
             max_iter=500,
             random_state=self.seed,
         )
+        scaled = make_pipeline(StandardScaler(), network)
+        self.model_ = TransformedTargetRegressor(scaled, transformer=StandardScaler())
         with warnings.catch_warnings():
             # It is stopped after so many steps.
             warnings.simplefilter("ignore")
-            network.fit(self.scaler_.transform(inputs), (target - self.level_) / self.spread_)
-        self.network_ = network
+            self.model_.fit(inputs, target)
         return self
 
-    def _step(self, inputs: FloatArray) -> FloatArray:
-        scaled = self.scaler_.transform(inputs)
-        return np.asarray(self.level_ + self.spread_ * self.network_.predict(scaled))
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        return np.asarray(self.model_.predict(np.hstack([y, phi])))
 
 
 class Frols(_Narx):
@@ -190,12 +179,12 @@ class Frols(_Narx):
         self.weights_ = np.linalg.lstsq(columns[:, self.chosen_], target)[0]
         return self
 
-    def _step(self, inputs: FloatArray) -> FloatArray:
-        columns = self.features_.transform(inputs)[:, self.chosen_]
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        columns = self.features_.transform(np.hstack([y, phi]))[:, self.chosen_]
         return np.asarray(columns @ self.weights_)
 
 
-class PlainPysindy:
+class PlainPysindy(_Simulated):
     """pysindy as its tutorial has it: smoothed differences, STLSQ, polynomials in ψ' and φ.
 
     Parameters
@@ -250,26 +239,15 @@ class PlainPysindy:
         """Return ψ' at rest, of shape (n,)."""
         return self._rate(np.zeros_like(phi), phi) * self.time_constant_s_
 
-    def predict(
-        self,
-        X: FloatArray,
-        segments: IntArray | None = None,
-        start: FloatArray | None = None,
-    ) -> FloatArray:
-        """Return the free run of ψ', of shape (n,), by Runge and Kutta with φ joined by lines."""
-        begin = np.full(len(X), self.level_) if start is None else start
-        h = self.sample_period_s
-
-        def step(last: FloatArray, phi: FloatArray) -> FloatArray:
-            y, old, new = last[:, -1], phi[:, -2], phi[:, -1]
-            middle = 0.5 * (old + new)
-            one = self._rate(y, old)
-            two = self._rate(y + 0.5 * h * one, middle)
-            three = self._rate(y + 0.5 * h * two, middle)
-            four = self._rate(np.clip(y + h * three, -FARTHEST, FARTHEST), new)
-            return np.asarray(y + h / 6.0 * (one + 2.0 * two + 2.0 * three + four))
-
-        return _simulated(X[:, 0], segments, begin, step, 1)
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        """Go one step by Runge and Kutta, φ joined by lines."""
+        last, old, new = y[:, -1], phi[:, -2], phi[:, -1]
+        h, middle = self.sample_period_s, 0.5 * (old + new)
+        one = self._rate(last, old)
+        two = self._rate(last + 0.5 * h * one, middle)
+        three = self._rate(last + 0.5 * h * two, middle)
+        four = self._rate(np.clip(last + h * three, -FARTHEST, FARTHEST), new)
+        return np.asarray(last + h / 6.0 * (one + 2.0 * two + 2.0 * three + four))
 
 
 class PredictionError:

@@ -136,28 +136,21 @@ def find_structure(
     settings: dict[str, Any] = {"hold": "first", "max_terms": max_terms}
     needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
     whole, reason = _whole_or_rows(records, needs)
+    fit: Any
     if whole:
-        run = fit_sparse_whole_runs(records, **settings)
-        inputs = run.stacked()
-        scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(run.rows_)
-        return FoundStructure(run, tuple(records), "psi_p", "whole runs", reason, *scored, settings)
-    from sindy_surge import SparseLagRegressor
+        fit = fit_sparse_whole_runs(records, **settings)
+        inputs = fit.stacked()
+        scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(fit.rows_)
+    else:
+        from sindy_surge import SparseLagRegressor
 
-    settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}
-    stacked = stack_rows(records)
-    fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)
-    fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
-    return FoundStructure(
-        fit,
-        tuple(records),
-        "psi_p",
-        "rows",
-        reason,
-        stacked.phi,
-        stacked.measured,
-        stacked.n_segments,
-        settings,
-    )
+        settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}
+        stacked = stack_rows(records)
+        fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)
+        fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
+        scored = stacked.phi, stacked.measured, stacked.n_segments
+    to: Literal["rows", "whole runs"] = "whole runs" if whole else "rows"
+    return FoundStructure(fit, tuple(records), "psi_p", to, reason, *scored, settings)
 
 
 def _whole_or_rows(records: Sequence[CoefficientSeries], needs: Sequence[str]) -> tuple[bool, str]:

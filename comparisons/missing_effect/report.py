@@ -193,7 +193,7 @@ def _picture(d: Diagnosis) -> Picture:
     first, last = run.time_s[rows.start], run.time_s[rows.stop - 1]
     fell = f"{significant(gap.before_rms, 3)} before and " if d.missing else ""
     after = " after" if d.missing else ""
-    return Picture.of(
+    return Picture(
         "The diagnosis in one picture",
         draw_diagnosis(d),
         f"Measured and simulated outputs of {run.title} from {first:.4g} to {last:.4g} s; rms "

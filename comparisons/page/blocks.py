@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 from surge_core.display import Grid
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Letters of a word that a printed column holds, and of a cell that stays in one line.
@@ -200,8 +199,6 @@ class Picture:
         What it shows, in numbers: below the picture, and for those who cannot see it.
     reading : str
         How to read it.
-    said_above : bool
-        Whether the page says just before the picture what it shows.
     """
 
     kind: ClassVar[str] = "picture"
@@ -209,27 +206,6 @@ class Picture:
     figure: Figure
     alt: str
     reading: str
-    said_above: bool = False
-
-    @classmethod
-    def of(
-        cls, title: str, drawn: Axes | Figure, alt: str, reading: str, *, said_above: bool = False
-    ) -> Picture:
-        """Return the picture of a figure, or of the figure that axes belong to.
-
-        Parameters
-        ----------
-        title : str
-            What it is.
-        drawn : Axes or Figure
-            What was drawn.
-        alt, reading, said_above
-            See the class.
-        """
-        figure = drawn.get_figure(root=True)
-        if figure is None:
-            raise TypeError("the axes belong to no figure")
-        return cls(title, figure, alt, reading, said_above)
 
     @property
     def uri(self) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 from comparisons.page.blocks import Head, Part, Table
 
 PACKAGES = (
+    "sindy-surge",
     "numpy",
     "scipy",
     "pandas",
@@ -71,12 +72,10 @@ def render_page(
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
         f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
     )
-    own = version_of("sindy-surge")
     page = environment.get_template("report.html.jinja").render(
         title=title,
         command=command,
-        version=own,
-        versions=_versions(own),
+        versions=_versions(),
         sections=sections,
         uri_of=lambda picture: uris[id(picture)],
         policy=policy,
@@ -87,8 +86,8 @@ def render_page(
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def _versions(version: str) -> Table:
-    rows = [("sindy-surge", version), ("Python", platform.python_version())]
+def _versions() -> Table:
+    rows = [("Python", platform.python_version())]
     for name in PACKAGES:
         try:
             rows.append((name, version_of(name)))

@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,21 +63,9 @@ SPARE_STYLES = (
 
 
 def estimator_styles(names: Iterable[str]) -> dict[str, LineStyle]:
-    """Return the style of each estimator; a known one has the same in every report.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Keys of the estimators.
-    """
-    styles, spare = {}, 0
-    for name in names:
-        if name in KNOWN_STYLES:
-            styles[name] = KNOWN_STYLES[name]
-        else:
-            styles[name] = SPARE_STYLES[spare % len(SPARE_STYLES)]
-            spare += 1
-    return styles
+    """Return the style of each estimator; a known one has the same in every report."""
+    spare = cycle(SPARE_STYLES)
+    return {name: KNOWN_STYLES.get(name) or next(spare) for name in names}
 
 
 def new_figure(width_in: float = WIDTH_IN, height_in: float = 5.0) -> Figure:
@@ -183,17 +172,6 @@ def robust_limits(*signals: FloatArray, margin: float = 0.08) -> tuple[float, fl
     low, high = min(e[0] for e in edges), max(e[1] for e in edges)
     pad = margin * (high - low) or max(abs(high), 1.0) * margin
     return float(low - pad), float(high + pad)
-
-
-def plain_numbers(*axes: Any) -> None:
-    """Write logarithmic axes, such as ``ax.xaxis``, with plain numbers at 1, 2 and 5."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in axes:
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
 
 
 @cache

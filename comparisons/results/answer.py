@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from comparisons.results.names import SYMBOLS
@@ -150,7 +150,6 @@ class Answer(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """Return the answer as plain JSON types, NaN for what is not known."""
-        words = asdict(self)
         return {
             "test": self.test,
             "time_constant_s": {
@@ -159,7 +158,9 @@ class Answer(Displayed):
                 "ci95": list(self.ci95_s),
             },
             "estimator": self.estimator or None,
-            **{name: words[name] for name in ("label", "why", "others")},
+            "label": self.label,
+            "why": self.why,
+            "others": self.others,
             "equation": None if self.curve is None else self.curve.equation(),
             "characteristic": None if self.curve is None else self.curve.to_json(),
             "verdict": self.verdict or None,

@@ -217,6 +217,19 @@ class Comparison(Displayed):
         """Return the result of one estimator."""
         return next(result for result in self.results if result.name == name)
 
+    @property
+    def models(self) -> tuple[tuple[str, FittedLag], ...]:
+        """Names and models that another record may be run through.
+
+        A refused fit is no model, and a model with effects has a file of its own.
+        """
+        own = "" if self.rows.target == "psi_p" else f":{self.rows.target}"
+        return tuple(
+            (f"{result.name}{own}", result.model)
+            for result in self.results
+            if result.state not in WITHHOLDING and result.extended is None
+        )
+
     def grid(self) -> Grid:
         """Return the table as terminal, page and notebook show it, a column for each heading."""
         return Grid(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 SYMBOLS = {"psi_p": "ψ'", "psi": "ψ"}
+NAMES = {"psi_p": "pressure coefficient ψ'", "psi": "work coefficient ψ"}
 ESTIMATOR_LABELS = {
     "classic_ml": "whole-run output error",
     "paper": "the paper's way (armax)",

@@ -160,7 +160,7 @@ def _pictures(
     left = np.sqrt(np.mean((measured - estimated[:, :n]) ** 2, axis=0))
     words = ", ".join(f"{name} {rms:.2g}" for name, rms in zip(names, left, strict=False))
     pictures: list[Block] = [
-        Picture.of(
+        Picture(
             "States over time, first file",
             figure,
             f"Measured states and the run of the equations nearest to them; rms apart: {words}.",
@@ -177,7 +177,7 @@ def _pictures(
     ax.set_ylabel(names[1])
     legend_above(figure, ax)
     pictures.append(
-        Picture.of(
+        Picture(
             f"{names[1]} over {names[0]}, first file",
             figure,
             "The measured loop and the loop of the equations.",

@@ -33,7 +33,9 @@ LETTERS = {
 }
 
 
-def write_figures(pages: Sequence[tuple[str, Sequence[Part]]], folder: Path) -> int:
+def write_figures(
+    pages: Sequence[tuple[str, Sequence[Part]]], folder: Path, curve: Curve | None = None
+) -> int:
     """Write every picture as SVG and PDF, and every table as CSV and LaTeX (booktabs).
 
     Parameters
@@ -42,6 +44,8 @@ def write_figures(pages: Sequence[tuple[str, Sequence[Part]]], folder: Path) -> 
         Sections of a page.
     folder : path
         Where; it is made where there is none.
+    curve : Curve, optional
+        Becomes a lookup table for a simulation, CSV and JSON.
 
     Returns
     -------
@@ -66,24 +70,12 @@ def write_figures(pages: Sequence[tuple[str, Sequence[Part]]], folder: Path) -> 
         stem = folder / f"table_{number:02d}_{_slug(table.caption)}"
         write_whole(stem.with_suffix(".csv"), frame.to_csv(index=False, lineterminator="\n"))
         write_whole(stem.with_suffix(".tex"), _latex(frame))
-    return len(KINDS) * len(pictures) + 2 * len(tables)
-
-
-def write_curve(curve: Curve, folder: Path) -> None:
-    """Write a characteristic as a lookup table for a simulation, CSV and JSON.
-
-    Parameters
-    ----------
-    curve : Curve
-        The characteristic.
-    folder : path
-        Where; it is made where there is none.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    columns = {"phi": curve.phi, curve.target: curve.value, "stderr": curve.stderr}
-    table = pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
-    write_whole(folder / "characteristic.csv", table)
-    write_whole(folder / "characteristic.json", to_strict_json(curve.to_json()))
+    if curve is not None:
+        columns = {"phi": curve.phi, curve.target: curve.value, "stderr": curve.stderr}
+        lookup = pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
+        write_whole(folder / "characteristic.csv", lookup)
+        write_whole(folder / "characteristic.json", to_strict_json(curve.to_json()))
+    return len(KINDS) * len(pictures) + 2 * (len(tables) + (curve is not None))
 
 
 def _save(figure: Any, kind: str, path: Path) -> None:

@@ -1,9 +1,10 @@
-"""A comparison as JSON, in the schema that other programs rely on."""
+"""Results as JSON, in the schemas that other programs rely on."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +12,12 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results import Comparison, EstimatorResult
 from surge_core.terms import terms_json
 
+if TYPE_CHECKING:
+    from comparisons.harness.structure_fit import FoundStructure
+
 COMPARE_SCHEMA = "sindy-surge/compare/1"
+STRUCTURE_SCHEMA = "sindy-surge/structure/1"
+OF_PATH = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
 
 
 def comparison_document(comparison: Comparison, work: Comparison | None = None) -> dict[str, Any]:
@@ -24,20 +30,14 @@ def comparison_document(comparison: Comparison, work: Comparison | None = None) 
     work : Comparison, optional
         Of the work coefficient ψ, under the key ``work_coefficient``.
     """
-    document = {"schema": COMPARE_SCHEMA, **_body(comparison)}
+    document = {"schema": COMPARE_SCHEMA, **_comparison(comparison)}
     if work is not None:
-        document["work_coefficient"] = _body(work)
+        document["work_coefficient"] = _comparison(work)
     return document
 
 
 def record_document(record: CoefficientSeries) -> dict[str, Any]:
-    """Return what a document says of a record.
-
-    Parameters
-    ----------
-    record : CoefficientSeries
-        A reduced record.
-    """
+    """Return what a document says of a record."""
     return {
         "source": record.source,
         "rows": record.n_samples,
@@ -48,13 +48,71 @@ def record_document(record: CoefficientSeries) -> dict[str, Any]:
     }
 
 
-def _body(comparison: Comparison) -> dict[str, Any]:
+def tau_json(value: float, stderr: float, ci95: Sequence[float] | None = None) -> dict[str, Any]:
+    """Return a time constant with its standard error, and its interval where one is stated."""
+    tau: dict[str, Any] = {"value": value, "stderr": stderr}
+    return tau if ci95 is None else {**tau, "ci95": list(ci95)}
+
+
+def curve_json(target: str, *columns: Iterable[float]) -> dict[str, list[float]]:
+    """Return φ, the coefficient and its standard error."""
+    names = "phi", target, "stderr"
+    return {name: list(map(float, each)) for name, each in zip(names, columns, strict=True)}
+
+
+def state_json(code: str, advice: str) -> dict[str, dict[str, str]]:
+    """Return how a fit ended, also under the key of files written before `fit_state`."""
+    state = {"code": code, "advice": advice}
+    return {"fit_state": state, "state": state}
+
+
+def structure_document(found: FoundStructure) -> dict[str, Any]:
+    """Return the document of ``structure --json``."""
+    from sindy_surge.summary import interval95
+
+    fit, known, summary = found.fit, found.inclusion, found.summary
+    parts = summary.parts
+    noise = getattr(fit, "noise_", None)
+    tau, error = parts.time_constant_s, parts.time_constant_stderr_s
+    return {
+        "schema": STRUCTURE_SCHEMA,
+        "records": [record_document(record) for record in found.records],
+        "target": found.target,
+        "fitted_to": found.fitted_to,
+        "rows_fitted": int(found.phi.size),
+        "segments_fitted": found.n_segments,
+        "settings": found.settings,
+        "equation": None if found.refused else found.equation(),
+        "time_constant_s": tau_json(tau, error, interval95(tau, error, positive=True)),
+        # Null where none was looked for.
+        "dead_time_s": {
+            "value": getattr(fit, "dead_time_s_", None),
+            "stderr": getattr(fit, "dead_time_stderr_s_", None),
+        },
+        "terms": [
+            {**term, "inclusion_probability": known.get(term["name"])}
+            for term in terms_json(parts.terms, parts.coef, parts.stderr)
+        ],
+        "candidates": list(fit.candidate_terms_),
+        "inclusion_probability": known,
+        "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
+        "path": [
+            {"terms": list(row.terms), **{key: getattr(row, key) for key in OF_PATH}}
+            for row in fit.path_
+        ],
+        "noise": None
+        if noise is None
+        else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
+        "phi_range": [float(found.phi.min()), float(found.phi.max())] if found.phi.size else None,
+        **state_json(*found.state),
+        "cautions": list(summary.cautions),
+    }
+
+
+def _comparison(comparison: Comparison) -> dict[str, Any]:
     return {
         "records": [
-            {
-                **record_document(record),
-                "history": [asdict(entry) for entry in record.history],
-            }
+            {**record_document(record), "history": [asdict(entry) for entry in record.history]}
             for record in comparison.records
         ],
         "target": comparison.rows.target,
@@ -68,35 +126,25 @@ def _body(comparison: Comparison) -> dict[str, Any]:
 
 
 def _estimator(result: EstimatorResult) -> dict[str, Any]:
-    model = result.model
-    phi, psi_p, stderr = np.asarray(model.table).T
+    model, other = result.model, result.second_reading
+    phi, value, stderr = np.asarray(model.table).T
     known = 1.0 if result.states_curve else np.nan
-    fit_state = {"code": result.state, "advice": result.advice}
+    tau = tau_json(model.time_constant_s, model.time_constant_stderr_s, model.ci95_s)
+    second = other and {"value": other.value_s, "ci95": list(other.ci95_s)}
+    extended = {} if result.extended is None else result.extended.to_json()
     return {
         "label": result.label,
-        "time_constant_s": {
-            "value": model.time_constant_s,
-            "stderr": model.time_constant_stderr_s,
-            "ci95": list(model.ci95_s),
-        }
-        if result.has_tau
-        else None,
-        **_second_reading(result),
+        "time_constant_s": tau if result.has_tau else None,
+        **({"second_reading": second} if second else {}),
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": terms_json(model.terms, known * np.array(model.coefficients), model.stderr),
-        "characteristic": {
-            "phi": phi.tolist(),
-            model.target: (known * psi_p).tolist(),
-            "stderr": stderr.tolist(),
-        }
+        "characteristic": curve_json(model.target, phi, known * value, stderr)
         if result.has_curve
         else None,
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,
         "equation": result.equation,
-        "fit_state": fit_state,
-        # The key of files written before `fit_state`.
-        "state": fit_state,
+        **state_json(result.state, result.advice),
         "rows": result.rows.kind,
         "fit": {
             "free_run": result.free_run.to_json(),
@@ -106,17 +154,5 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "checks": [asdict(check) for check in result.checks],
         "seconds": result.seconds,
         "dead_time_s": model.dead_time_s,
-        **_effects(result),
+        **{key: extended[key] for key in ("effects",) if key in extended},
     }
-
-
-def _effects(result: EstimatorResult) -> dict[str, Any]:
-    held = {} if result.extended is None else result.extended.to_json()
-    return {"effects": held["effects"]} if "effects" in held else {}
-
-
-def _second_reading(result: EstimatorResult) -> dict[str, Any]:
-    other = result.second_reading
-    if other is None:
-        return {}
-    return {"second_reading": {"value": other.value_s, "ci95": list(other.ci95_s)}}

@@ -2,39 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.series import CoefficientSeries
+from classic_ml.checks import CheckRow
+from classic_ml.records import LedgerEntry, counted, ledger_grid
 from comparisons.harness.answer import answer_of
-from comparisons.page.blocks import Block, Part, Words
+from comparisons.harness.cautions import tau_caution
+from comparisons.harness.tau_trial import trial_of
+from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Summary, Table, Words
 from comparisons.page.html import render_page
-from comparisons.results import Answer, Comparison, Reconstruction, Truth
-from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
-from comparisons.show.answer_page import answer_part
-from comparisons.show.plots_tau_trial import tau_trial
-from comparisons.show.report_tables import (
-    checks_table,
-    ledger_tables,
-    summary_table,
-    validation_tables,
+from comparisons.results import (
+    COLUMNS,
+    RECONSTRUCTION_COLUMNS,
+    SYMBOLS,
+    Answer,
+    Caution,
+    Comparison,
+    ComparisonRow,
+    Reconstruction,
+    Truth,
+    estimator_label,
+    reconstruction_grids,
+    texts_of,
 )
-from comparisons.show.report_words import (
-    cautions_list,
-    summary_list,
-    tau_words,
-    truth_list,
-)
+from comparisons.results.names import NAMES
+from comparisons.show import plots_curve, plots_record, plots_runs
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
-    from classic_ml.records import LedgerEntry
     from classic_ml.reduction import Reduction
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
+# Columns of a ledger that hold sentences.
+LEDGER_PROSE = ("did", "parameters", "left out", "flags")
+# Which τ to quote stands above all.
+SAID_ELSEWHERE = ("quote_tau", "tau_biased")
 
 
 @dataclass(frozen=True)
@@ -117,89 +125,114 @@ def render_report(
         HTML with its style and its images in it. All text is escaped: names of files and
         channels, and what ledgers say, are data.
     """
-    return render_page(
-        report_pages(sections),
-        title=title,
-        command=command,
-        progress=progress,
-    )
+    return render_page(report_pages(sections), title=title, command=command, progress=progress)
 
 
 def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Part, ...]]]:
-    """Return the sections of a report as headings with their parts.
-
-    Parameters
-    ----------
-    sections : sequence of ReportSection
-        What the report is about.
-    """
-    return [(section.title, section_parts(section)) for section in sections]
+    """Return the sections of a report as headings with the parts that hold anything, in order."""
+    return [(section.title, _parts(section)) for section in sections]
 
 
-def section_parts(section: ReportSection) -> tuple[Part, ...]:
-    """Return the parts of a section that hold anything, in the order of the report.
-
-    Parameters
-    ----------
-    section : ReportSection
-        What it is about.
-    """
+def _parts(section: ReportSection) -> tuple[Part, ...]:
     fits = [fit for fit, _ in section.fits]
-    histories = list(section.ledgers.values())
-    reduced = section.ledgers if section.reduction is not None else {}
     answer = section.answer
     if answer is None and section.comparison is not None:
         answer = answer_of(section.comparison)
-    tables = [summary_table(fit) for fit in fits]
-    truths = [truth_list(fit, truth) for fit, truth in section.fits if truth is not None]
     evidence = (
-        *tau_words(fits, histories),
-        *tables,
-        *truths,
-        *(plots_fit.characteristics(fit, truth) for fit, truth in section.fits),
+        *_tau_words(fits, list(section.ledgers.values())),
+        *map(_summary_table, fits),
+        *(truth_list(fit, truth) for fit, truth in section.fits if truth is not None),
+        *(plots_curve.characteristics(fit, truth) for fit, truth in section.fits),
         *_reconstructions(section),
         *_trial(section),
-        *map(plots_residuals.errors_in_time, fits),
+        *map(plots_runs.errors_in_time, fits),
     )
-    quality = (
-        *cautions_list(fits, reduced),
-        *section.quality,
-        *_migration(section),
-        *_in_time(section),
-    )
-    settings = (*map(summary_list, fits), *(block for fit in fits for block in _equations(fit)))
+    equations = [block for fit in fits for block in _equations(fit)]
+    quality = (*_cautions(section), *section.quality, *_record_pictures(section))
     parts = (
-        Part("Reconstruction validation", _validation(section)),
+        Part("Reconstruction validation", _validation(section.validation)),
         Part("Evidence", evidence),
         *section.extra,
-        Part("Checks", tuple(map(checks_table, fits))),
+        Part("Checks", tuple(map(_checks_table, fits))),
         Part("Data quality", quality),
-        Part("Ledger", ledger_tables(section.ledgers)),
-        Part("Settings", settings),
+        Part("Ledger", tuple(_ledger_table(*pair) for pair in section.ledgers.items())),
+        Part("Settings", (*map(_summary_list, fits), *equations)),
     )
     shown = [part for part in parts if part.blocks]
     if answer is not None:
-        return (answer_part(answer, section.truth), *(replace(p, folded=True) for p in shown))
+        return (_answer_part(answer, section.truth), *(replace(p, folded=True) for p in shown))
     # Without an answer the first part stands open in its place.
     return (*shown[:1], *(replace(part, folded=True) for part in shown[1:]))
 
 
-def _migration(section: ReportSection) -> tuple[Block, ...]:
-    if section.reduction is not None:
-        return (plots_record.operating_points(section.reduction),)
-    pictures = tuple(
-        plots_series.loops(series, fit.rows.target)
-        for fit, _ in section.fits
-        for series in fit.records[:RECORDS_DRAWN]
+def truth_list(fit: Comparison, truth: Truth) -> Bullets:
+    """Say how far each estimator is from the truth that a simulated record was made with."""
+    items = []
+    for row in fit.table:
+        model = fit.result(row.estimator).model
+        low, high = max(model.valid_phi[0], truth.phi[0]), min(model.valid_phi[1], truth.phi[-1])
+        phi, value, _ = np.asarray(model.table).T
+        known = (phi >= low) & (phi <= high)
+        off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
+        curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
+        items.append(f"{row.label}: {_tau_off(row, truth)}{curve}.")
+    return Bullets(
+        tuple(items),
+        "plain",
+        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves over "
+        "the φ that each estimator scored",
     )
-    return (*pictures, *_left_out(section))
 
 
-def _in_time(section: ReportSection) -> tuple[Block, ...]:
-    """Return the surge cycles in time, of which only a reduction knows more than φ and ψ'."""
-    if section.reduction is None:
+def _tau_off(row: ComparisonRow, truth: Truth) -> str:
+    off_ms = 1e3 * (row.time_constant_s - truth.time_constant_s)
+    stderr_ms = 1e3 * row.time_constant_stderr_s
+    if not math.isfinite(off_ms):
+        return "no τ"
+    words = f"τ off by {off_ms:+.1f} ms"
+    if math.isfinite(stderr_ms) and stderr_ms > 0.0:
+        words += f" ({abs(off_ms) / stderr_ms:.1f} of its standard errors)"
+    return words
+
+
+def _answer_part(answer: Answer, truth: Truth | None) -> Part:
+    """Return the first screen of a section."""
+    items = list(answer.lines)
+    if truth is not None:
+        items.insert(1, ("true τ of the simulated rig", f"{1e3 * truth.time_constant_s:g} ms"))
+    picture = None
+    if answer.curve is not None:
+        picture = plots_curve.curve_picture(answer.curve, answer.estimator, truth)
+    return Part("", (Summary(answer.test, tuple(items), picture),))
+
+
+def _tau_words(
+    fits: Sequence[Comparison], histories: Sequence[Sequence[LedgerEntry]]
+) -> tuple[Words, ...]:
+    """Say what τ can be trusted for, where the ledger shows a low-pass before the flow equation."""
+    target = "psi_p" if any(fit.rows.target == "psi_p" for fit in fits) else "psi"
+    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
+    caution = tau_caution(histories, target=target, quotable=whole)
+    if caution is None:
         return ()
-    return (plots_record.surge_cycles(section.reduction),)
+    return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
+
+
+def _summary_table(fit: Comparison) -> Table:
+    """Return the comparison table, from the same fields as that of the terminal."""
+    order = "the recommended first" if fit.recommended else "none is recommended"
+    caption = f"Estimators of the {NAMES[fit.rows.target]}, {order}"
+    table = Table.of(fit.grid(), caption=caption, meanings=COLUMNS, prose=("trust",), zero="least")
+    return _with_names(table, ((row.label, row.estimator) for row in fit.table))
+
+
+def _with_names(table: Table, named: Iterable[tuple[str, str]]) -> Table:
+    """Print below the label of each row's estimator the name that the command line knows it by."""
+    rows = tuple(
+        tuple(Cell(label, name) if cell == label != name else cell for cell in cells)
+        for cells, (label, name) in zip(table.rows, named, strict=True)
+    )
+    return replace(table, rows=rows)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
@@ -208,25 +241,122 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
         kinds = dict.fromkeys(fit.result(row.estimator).rows.kind for row in fit.table)
         pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
-        blocks += [plots_fit.reconstruction(fit, i, kind) for kind, i in pairs]
+        blocks += [plots_runs.reconstruction(fit, i, kind) for kind, i in pairs]
     return (*blocks, *_left_out(section))
 
 
-def _validation(section: ReportSection) -> tuple[Block, ...]:
-    groups: dict[tuple[str, str], list[Reconstruction]] = {}
-    for run in section.validation:
-        groups.setdefault((run.title, run.rows.kind), []).append(run)
-    return (*validation_tables(section.validation), *map(plots_fit.validation, groups.values()))
+def _left_out(section: ReportSection) -> list[Words]:
+    n = len(section.fits[0][0].records) if section.fits else 0
+    if n <= RECORDS_DRAWN:
+        return []
+    return [Words(f"The first {RECORDS_DRAWN} of {n} records are drawn; all were fitted.")]
 
 
 def _trial(section: ReportSection) -> tuple[Block, ...]:
-    from comparisons.harness.tau_trial import trial_of
-
     fit, truth = section.comparison, section.truth
     if fit is None or fit.rows.target != "psi_p":
         return ()
     true_s = None if truth is None else truth.time_constant_s
-    return (tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
+    return (plots_curve.tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
+
+
+def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
+    """Return scores and pictures of models that were fitted elsewhere, a table for each record."""
+    blocks: list[Block] = []
+    for grid in reconstruction_grids(runs):
+        caption = f"{grid.title}; nothing refitted"
+        table = Table.of(grid, caption=caption, meanings=RECONSTRUCTION_COLUMNS, zero="least")
+        own = [run.model.estimator for run in runs if run.title == grid.title]
+        blocks.append(_with_names(table, ((estimator_label(name), name) for name in own)))
+    groups: dict[tuple[str, str], list[Reconstruction]] = {}
+    for run in runs:
+        groups.setdefault((run.title, run.rows.kind), []).append(run)
+    return (*blocks, *map(plots_runs.validation, groups.values()))
+
+
+def _checks_table(fit: Comparison) -> Table:
+    """Return the residual checks, a row for each estimator and a column for each check."""
+    results = [fit.result(row.estimator) for row in fit.table]
+    meanings = {c.check: c.meaning for result in results for c in result.checks}
+    rows = []
+    for result in results:
+        by_name = {check.check: check for check in result.checks}
+        cells = [_check_cell(by_name.get(name)) for name in meanings]
+        rows.append((Cell(result.label, result.name), *cells))
+    heads = (
+        Head("estimator"),
+        *(Head(name.replace("_", " "), meaning) for name, meaning in meanings.items()),
+    )
+    caption = f"Checks of the errors, {NAMES[fit.rows.target]}; below each, statistic and limit"
+    return Table(caption, heads, tuple(rows))
+
+
+def _check_cell(check: CheckRow | None) -> str | Cell:
+    if check is None:
+        return "not made"
+    limit = f"{check.operator} {significant(check.threshold, 3)}"
+    small = f"{significant(check.statistic, 3)} ({limit})"
+    return Cell("passed" if check.passed else "failed", small)
+
+
+def _cautions(section: ReportSection) -> tuple[Bullets, ...]:
+    """List the cautions of the comparisons, or those of the ledger where nothing was fitted."""
+    found: list[str] = []
+    for fit, _ in section.fits:
+        # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
+        sources = tuple(f"{record.source}: " for record in fit.records)
+        for caution in texts_of(each for each in fit.cautions if each.code not in SAID_ELSEWHERE):
+            own = "" if caution.startswith(sources) else f"{SYMBOLS[fit.rows.target]}: "
+            found.append(f"{own}{caution}")
+    if not section.fits and section.reduction is not None:
+        found += texts_of(
+            Caution("ledger", source, entry.step, {"finding": flag})
+            for source, history in section.ledgers.items()
+            for entry in history
+            for flag in entry.flags
+        )
+    if not found:
+        return ()
+    return (Bullets(tuple(dict.fromkeys(found)), "caution", "Cautions"),)
+
+
+def _record_pictures(section: ReportSection) -> tuple[Block, ...]:
+    """Return the path of the record, and its cycles in time where more than φ and ψ' is known."""
+    reduction = section.reduction
+    if reduction is not None:
+        return plots_record.operating_points(reduction), plots_record.surge_cycles(reduction)
+    pictures = tuple(
+        plots_record.loops(series, fit.rows.target)
+        for fit, _ in section.fits
+        for series in fit.records[:RECORDS_DRAWN]
+    )
+    return (*pictures, *_left_out(section))
+
+
+def _ledger_table(source: str, history: Sequence[LedgerEntry]) -> Table:
+    """Return the ledger of a record: every step, what it did, and what it dropped."""
+    if not history:
+        return Table(f"{source}: no ledger came with this record", (), ())
+    return Table.of(ledger_grid(history)[0], caption=source, prose=LEDGER_PROSE)
+
+
+def _summary_list(fit: Comparison) -> Bullets:
+    """Say in words what was compared, and how it is to be read."""
+    rows = fit.rows
+    held_out = int(np.count_nonzero(~rows.train))
+    low, high = fit.valid_phi
+    items = (
+        f"{rows.phi.size} rows in {counted(rows.n_segments, 'segment')} of "
+        f"{counted(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
+        f"the last {held_out} rows were held out for the score.",
+        "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
+        "rewarded on held-out cycles too: held-out rms says how well "
+        f"{SYMBOLS[rows.target]} is predicted, not how near the characteristic is.",
+        f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
+        "Outside it the curves are extrapolated.",
+    )
+    name = NAMES[rows.target]
+    return Bullets(items, "plain", name[0].upper() + name[1:])
 
 
 def _equations(fit: Comparison) -> tuple[Block, ...]:
@@ -236,14 +366,3 @@ def _equations(fit: Comparison) -> tuple[Block, ...]:
         for result in fit.results
         if result.equation
     )
-
-
-def _records(section: ReportSection) -> tuple[CoefficientSeries, ...]:
-    return section.fits[0][0].records if section.fits else ()
-
-
-def _left_out(section: ReportSection) -> list[Words]:
-    n = len(_records(section))
-    if n <= RECORDS_DRAWN:
-        return []
-    return [Words(f"The first {RECORDS_DRAWN} of {n} records are drawn; all were fitted.")]

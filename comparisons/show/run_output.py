@@ -10,10 +10,13 @@ from comparisons.missing_effect.document import diagnosis_document
 from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Part, Words
 from comparisons.show.inspection import inspect_document, inspect_text
-from comparisons.show.json_output import comparison_document, record_document
-from comparisons.show.report import ReportSection, report_pages
-from comparisons.show.structure_output import structure_document
-from comparisons.show.structure_report import structure_parts
+from comparisons.show.json_output import (
+    comparison_document,
+    record_document,
+    structure_document,
+)
+from comparisons.show.report import ReportSection
+from comparisons.show.structure_output import structure_parts
 from comparisons.show.work_output import work_document, work_table
 
 RUN_SCHEMA = "sindy-surge/run/1"
@@ -43,29 +46,23 @@ def run_document(found: Analysis) -> dict[str, Any]:
     return {"schema": RUN_SCHEMA, "answer": found.answer.to_json(), **steps}
 
 
-def run_pages(found: Analysis) -> list[tuple[str, tuple[Part, ...]]]:
-    """Return an analysis as the sections of a page.
-
-    Parameters
-    ----------
-    found : Analysis
-        The analysis.
-    """
+def run_section(found: Analysis) -> ReportSection:
+    """Return an analysis as a section of a report."""
     parts: list[Part] = []
     if found.diagnosis is not None:
         parts += diagnosis_parts(found.diagnosis)
-    extra = [Part.together("Evidence: what is missing", parts)]
+    evidence = [Part.together("Evidence: what is missing", parts)]
     if found.structure is not None:
-        extra.append(Part.together("Evidence: terms of ψ'_QS", structure_parts(found.structure)))
+        terms = structure_parts(found.structure)
+        evidence.append(Part.together("Evidence: terms of ψ'_QS", terms))
     if found.work is not None:
         words = Words(work_table(found.work, searched=True), "code")
-        extra.append(Part("Evidence: ψ_QS from the power", (words,)))
-    section = ReportSection(
+        evidence.append(Part("Evidence: ψ_QS from the power", (words,)))
+    return ReportSection(
         found.answer.test,
         found.comparison,
         reduction=found.reduction,
-        extra=tuple(part for part in extra if part.blocks),
+        extra=tuple(part for part in evidence if part.blocks),
         quality=(Words(inspect_text(found.inspection, None), "code"),),
         answer=found.answer,
     )
-    return report_pages([section])

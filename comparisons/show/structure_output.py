@@ -1,67 +1,67 @@
-"""What the command `structure` found, as text and as JSON."""
+"""What the command `structure` found, as text and as the parts of a page."""
 
 from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.structure_fit import FoundStructure
-from comparisons.show.json_output import record_document
-from surge_core.terms import pretty_term, terms_json
+from comparisons.page.blocks import Head, Part, Picture, Table, Words
+from comparisons.results import Curve
+from comparisons.show.plots_curve import curve_picture
+from surge_core.terms import pretty_term
 
-if TYPE_CHECKING:
-    from sindy_surge.selection import PathRow
-
-STRUCTURE_SCHEMA = "sindy-surge/structure/1"
 WIDTH = 100
 # One in a hundred resampled records is no evidence for a term.
 LEAST_INCLUSION = 0.01
 
 
 def structure_text(found: FoundStructure) -> str:
-    """Return all that is known as text of at most 100 columns.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        From :func:`find_structure`.
-    """
-    lines = _wrapped(opening_words(found))
+    """Return all that is known as text of at most 100 columns."""
+    lines = _wrapped(_opening(found))
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
-    lines += ["", found.summary.sheet().text()]
-    lines += _wrapped(left_out_words(found))
-    return "\n".join(lines)
+    return "\n".join([*lines, "", found.summary.sheet().text(), *_wrapped(_left_out(found))])
 
 
-def opening_words(found: FoundStructure) -> str:
-    """Say what was fitted, and why that.
+def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
+    """Return the parts of a report section on the terms of the characteristic."""
+    opening = Words(f"{_opening(found)}.")
+    code, advice = found.state
+    if found.refused:
+        refusal = Words(f"No structure ({code}): {advice}", "caution")
+        return (Part("Structure", (opening, refusal)),)
+    sheet = found.summary.sheet()
+    # A ledger has a line for each of its entries.
+    rows = tuple(
+        (field.label if number == 0 else "", line)
+        for field in sheet.fields
+        for number, line in enumerate(field.lines)
+    )
+    fields = Table(sheet.title, (Head("quantity"), Head("value", prose=True)), rows)
+    tables = (fields, *map(Table.of, sheet.grids))
+    return (
+        Part("Structure", (opening, *tables, Words(_left_out(found)))),
+        Part("Characteristic", (_picture(found),)),
+    )
 
-    Parameters
-    ----------
-    found : FoundStructure
-        The structure.
-    """
+
+def _opening(found: FoundStructure) -> str:
+    """Say what was fitted, and why that."""
     names = ", ".join(Path(record.source).name for record in found.records)
     return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
 
 
-def _wrapped(prose: str, later: str = "  ") -> list[str]:
-    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)
+def _wrapped(prose: str) -> list[str]:
+    return textwrap.wrap(prose, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
-def left_out_words(found: FoundStructure) -> str:
-    """Say how often terms that were not chosen came up, or why nothing is known of that.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        The structure.
-    """
+def _left_out(found: FoundStructure) -> str:
+    """Say how often terms that were not chosen came up, or why nothing is known of that."""
     known = found.inclusion
     if not known:
         return f"No inclusion probabilities: {_why_no_inclusion(found)}."
@@ -83,59 +83,26 @@ def _why_no_inclusion(found: FoundStructure) -> str:
     return f"records are not resampled where a fit ended as {found.state[0]}"
 
 
-def structure_document(found: FoundStructure) -> dict[str, Any]:
-    """Return all that is known as plain JSON types.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        From :func:`find_structure`.
-    """
-    from sindy_surge.summary import interval95
-
-    fit, known, summary = found.fit, found.inclusion, found.summary
-    parts = summary.parts
-    code, advice = found.state
-    noise = getattr(fit, "noise_", None)
-    tau, error = parts.time_constant_s, parts.time_constant_stderr_s
-    return {
-        "schema": STRUCTURE_SCHEMA,
-        "records": [record_document(record) for record in found.records],
-        "target": found.target,
-        "fitted_to": found.fitted_to,
-        "rows_fitted": int(found.phi.size),
-        "segments_fitted": found.n_segments,
-        "settings": found.settings,
-        "equation": None if found.refused else found.equation(),
-        "time_constant_s": {
-            "value": tau,
-            "stderr": error,
-            "ci95": list(interval95(tau, error, positive=True)),
-        },
-        # Null where none was looked for.
-        "dead_time_s": {
-            "value": getattr(fit, "dead_time_s_", None),
-            "stderr": getattr(fit, "dead_time_stderr_s_", None),
-        },
-        "terms": [
-            {**term, "inclusion_probability": known.get(term["name"])}
-            for term in terms_json(parts.terms, parts.coef, parts.stderr)
-        ],
-        "candidates": list(fit.candidate_terms_),
-        "inclusion_probability": known,
-        "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
-        "path": [_path_row(row) for row in fit.path_],
-        "noise": None
-        if noise is None
-        else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
-        "phi_range": [float(found.phi.min()), float(found.phi.max())] if found.phi.size else None,
-        "fit_state": {"code": code, "advice": advice},
-        # The key of files written before `fit_state`.
-        "state": {"code": code, "advice": advice},
-        "cautions": list(summary.cautions),
-    }
-
-
-def _path_row(row: PathRow) -> dict[str, Any]:
-    keys = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
-    return {"terms": list(row.terms), **{key: getattr(row, key) for key in keys}}
+def _picture(found: FoundStructure) -> Picture:
+    """Draw the characteristic over all φ of the data, with the histogram of φ."""
+    phi, value, stderr = found.curve()
+    parts = found.summary.parts
+    curve = Curve(
+        found.target,
+        parts.terms,
+        parts.coef,
+        parts.stderr,
+        trusted_range(found.phi),
+        phi,
+        value,
+        stderr,
+        found.phi,
+        found.measured,
+        np.gradient(found.phi) > 0.0,
+    )
+    words = (
+        "The curve ends where the data end. The band holds for the terms as they were chosen, not "
+        "for another choice; where it leaves the picture the record says nothing. Where few rows "
+        "are, the curve rests on the form of its terms."
+    )
+    return curve_picture(curve, "sindy", histogram=True, more=words)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.show.json_output import curve_json, state_json, tau_json
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
 
@@ -19,37 +20,19 @@ WORK_SCHEMA = "sindy-surge/work/1"
 
 
 def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
-    """Return the fit as plain JSON types.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        The fit.
-    source : str
-        The record.
-    """
-    phi, value, stderr = _curve(fit)
+    """Return the fit as plain JSON types."""
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return {
         "schema": WORK_SCHEMA,
         "record": source,
-        "time_constant_s": {
-            "value": fit.time_constant_s,
-            "stderr": fit.time_constant_stderr_s,
-        },
+        "time_constant_s": tau_json(fit.time_constant_s, fit.time_constant_stderr_s),
         "breakpoints": list(fit.breakpoints),
         "terms": terms_json(fit.terms, fit.coef, errors),
-        "characteristic": {
-            "phi": phi.tolist(),
-            "psi": value.tolist(),
-            "stderr": stderr.tolist(),
-        },
+        "characteristic": curve_json("psi", *_curve(fit)),
         "valid_phi": list(fit.valid_phi),
         "rows_scored": fit.n_scored,
         "cycles": fit.n_cycles,
-        "fit_state": {"code": fit.fit_state.code, "advice": fit.fit_state.advice},
-        # The key of files written before `fit_state`.
-        "state": {"code": fit.fit_state.code, "advice": fit.fit_state.advice},
+        **state_json(fit.fit_state.code, fit.fit_state.advice),
         "history": [asdict(fit.entry)],
     }
 

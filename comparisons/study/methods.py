@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.methods import method_spec, naming_of
+from comparisons.harness.methods import OwnMethod
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 
@@ -40,8 +40,9 @@ def scores_of(
     dict
         ``state``, ``reason``, scores by name, and what else is known.
     """
+    own = OwnMethod(method.import_path, method.name, method.parameters)
     if method.import_path:
-        naming = naming_of(method.import_path, method.name, method.parameters)
+        naming = own.naming()
         if naming is not None:
             names = tuple(naming(records))
             wrong = [name for name in names if name not in made.effects]
@@ -52,7 +53,7 @@ def scores_of(
     from comparisons.harness.estimators import default_estimators
 
     if method.import_path:
-        spec = method_spec(method.import_path, method.name, method.parameters)
+        spec = own.spec()
     else:
         spec = {each.name: each for each in default_estimators(**fit)}[method.name]
     comparison = compare_records(records, estimators=[spec], **fit)

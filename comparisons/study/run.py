@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
-from comparisons.harness.methods import check_method, naming_of
+from comparisons.harness.methods import OwnMethod
 from comparisons.study.design import Cell, Point, cells_of, tasks_of
 from comparisons.study.methods import scores_of
 from comparisons.study.scores import NUMBERS
@@ -109,9 +109,9 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
         When the folder holds a study, or a class cannot be had.
     """
     for method in spec.method:
-        asked = (method.import_path, method.name, method.parameters)
-        if method.import_path and naming_of(*asked) is None:
-            check_method(*asked)
+        own = OwnMethod(method.import_path, method.name, method.parameters)
+        if method.import_path and own.naming() is None:
+            own.check()
     if not resume and (folder / FINISHED).exists():
         raise InputError(
             str(folder),

@@ -127,7 +127,7 @@ def test_an_interrupt_is_one_line(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("comparisons.cli.shared.Command.check_files", interrupted)
+    monkeypatch.setattr("comparisons.cli.command.Command._check_files", interrupted)
     assert run("compare", tmp_path / "s.csv") == 130
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -18,7 +18,7 @@ from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Picture
 from comparisons.page.style import broken, robust_limits
 from comparisons.results import Truth
-from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
+from comparisons.show import plots_curve, plots_record, plots_runs
 
 RATE_HZ = 1000.0
 HOSTILE = "p$25_{x}^2 \\frac \U0001f4a5 漢字 <b>"
@@ -54,11 +54,11 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
     comparison = made_comparison()
     runs = [reconstruct_record(r.model, made_series(5, HOSTILE)) for r in comparison.results]
     pictures = (
-        plots_fit.characteristics(comparison),
-        plots_fit.reconstruction(comparison),
-        plots_fit.validation(runs),
-        plots_residuals.errors_in_time(comparison),
-        plots_series.loops(comparison.records[0]),
+        plots_curve.characteristics(comparison),
+        plots_runs.reconstruction(comparison),
+        plots_runs.validation(runs),
+        plots_runs.errors_in_time(comparison),
+        plots_record.loops(comparison.records[0]),
         plots_record.operating_points(reduction),
         plots_record.surge_cycles(reduction),
     )
@@ -77,7 +77,7 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
 def test_the_truth_is_drawn_where_it_is_known_and_said() -> None:
     comparison = made_comparison()
     phi = np.linspace(-1.0, 2.0, 400)
-    picture = plots_fit.characteristics(comparison, Truth(0.018, phi, 0.3 + 1.2 * phi, "truth"))
+    picture = plots_curve.characteristics(comparison, Truth(0.018, phi, 0.3 + 1.2 * phi, "truth"))
     lines = picture.figure.axes[0].get_lines()
     (line,) = [line for line in lines if line.get_label() == "truth"]
     assert np.asarray(line.get_ydata()) == pytest.approx(0.3 + 1.2 * np.asarray(line.get_xdata()))

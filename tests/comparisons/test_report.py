@@ -22,7 +22,7 @@ from comparisons.harness.answer import answer_of
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Part, Words
 from comparisons.results import Caution, Truth
-from comparisons.show.figures import write_curve, write_figures
+from comparisons.show.figures import write_figures
 from comparisons.show.report import ReportSection, render_report, report_pages
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
@@ -135,7 +135,9 @@ def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
 def test_pictures_tables_and_the_curve_can_be_taken_away(tmp_path: Path) -> None:
     comparison = made_comparison()
     pages = report_pages([ReportSection("x", comparison)])
-    n = write_figures(pages, tmp_path)
+    curve = answer_of(comparison).curve
+    assert curve is not None
+    n = write_figures(pages, tmp_path, curve)
     assert n == len(list(tmp_path.iterdir()))
     for path in tmp_path.glob("*.svg"):
         assert ElementTree.parse(path).getroot().tag.endswith("svg")
@@ -146,9 +148,6 @@ def test_pictures_tables_and_the_curve_can_be_taken_away(tmp_path: Path) -> None
     assert r"\toprule" in latex
     assert r"18.01 $\pm$ 0.22" in latex
     assert r"classic\_ml" in latex
-    curve = answer_of(comparison).curve
-    assert curve is not None
-    write_curve(curve, tmp_path)
     table = pd.read_csv(tmp_path / "characteristic.csv")
     np.testing.assert_allclose(
         np.polyval(curve.coefficients[::-1], table.phi), table.psi_p, atol=0.02

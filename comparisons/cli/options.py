@@ -1,0 +1,168 @@
+"""Arguments of commands: what an argument is, types of values, and those that commands share."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+LONGEST_TAU_S = 10.0
+TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One argument of a command, as argparse takes it, and whether it is a file.
+
+    Parameters
+    ----------
+    flags : tuple of str
+        Its names.
+    details : dict
+        Further arguments of ``add_argument``.
+    read : bool
+        A file that must exist.
+    written : bool
+        A file that is written.
+    suffixes : tuple of str
+        Those that a written file may have; any where none are listed.
+    """
+
+    flags: tuple[str, ...]
+    details: dict[str, Any]
+    read: bool = False
+    written: bool = False
+    suffixes: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Where argparse puts the value."""
+        long = next((flag for flag in self.flags if flag.startswith("--")), self.flags[0])
+        return str(self.details.get("dest", long.lstrip("-").replace("-", "_")))
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add the argument to a parser, or to a group of one."""
+        parser.add_argument(*self.flags, **self.details)
+
+
+def argument(*flags: str, **details: Any) -> Argument:
+    """Return an argument that is no file, or a file that its command checks."""
+    return Argument(flags, details)
+
+
+def reads(*flags: str, metavar: str, **details: Any) -> Argument:
+    """Return an argument for files that are read."""
+    return Argument(flags, {"type": Path, "metavar": metavar, **details}, read=True)
+
+
+def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details: Any) -> Argument:
+    """Return an argument for a file that is written."""
+    details = {"type": Path, "metavar": metavar, **details}
+    return Argument(flags, details, written=True, suffixes=suffixes)
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return a type of options: whole numbers within limits.
+
+    Parameters
+    ----------
+    low, high : int
+        The least and the greatest that is taken.
+    """
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            words = f"expected a whole number from {low} to {high}, found '{text}'"
+            raise argparse.ArgumentTypeError(words)
+        return value
+
+    return read
+
+
+def number(text: str) -> float:
+    """Read a finite number, as a type of options."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a number, found '{text}'")
+    return value
+
+
+def time_constant(text: str) -> float:
+    """Read a time such as ``18ms``, as a type of options; seconds without a unit.
+
+    Parameters
+    ----------
+    text : str
+        What was typed.
+    """
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms|us|µs)?\s*", text)
+    try:
+        seconds = float(match[1]) * TIME_UNITS[match[2]] if match else math.nan
+    except ValueError:
+        seconds = math.nan
+    if 0.0 < seconds <= LONGEST_TAU_S:
+        return seconds
+    found = f"{seconds:g} s" if math.isfinite(seconds) else repr(text)
+    # A plain 18 is 18 ms without its unit, not 18 s.
+    bare = match is not None and match[2] is None and seconds > LONGEST_TAU_S
+    remedy = f"; write {text.strip()}ms if milliseconds are meant" if bare else ""
+    raise argparse.ArgumentTypeError(
+        "expected a time constant such as 18ms or 0.018 (seconds), above 0 and up to "
+        f"{LONGEST_TAU_S:g} s, found {found}{remedy}"
+    )
+
+
+def seed(highest: int = 2**32 - 1) -> Argument:
+    """Return the argument for the seed of a rig."""
+    words = "seed of the sensors (default: 0)"
+    return argument("--seed", type=whole(0, highest), default=0, metavar="N", help=words)
+
+
+SERIES = reads("series", nargs="+", metavar="SERIES", help="series (.csv or .nc)")
+RAW = (
+    reads("raw", metavar="RAW", help="raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)"),
+    reads("--test", required=True, metavar="TEST.toml", help="description of the test"),
+)
+JSON = writes("--json", metavar="FILE", help="write the numbers as JSON")
+REPORT = writes(
+    "--report", metavar="FILE.html", suffixes=(".html", ".htm"), help="write the report"
+)
+FIGURES = argument(
+    "--figures",
+    type=Path,
+    metavar="DIR",
+    help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
+    "characteristic as a lookup table (CSV, JSON)",
+)
+METHOD = argument(
+    "--method",
+    action="append",
+    default=[],
+    metavar="MODULE:CLASS",
+    help="a method of your own beside the others: a class with fit and predict; or pysindy, frols, "
+    "narx, prediction_error; may be repeated",
+)
+HOLD = argument(
+    "--hold",
+    choices=("first", "zero"),
+    default="first",
+    help="φ between its samples: joined by lines, or held as in Eq 9 (default: first)",
+)
+NO_TWINS = argument(
+    "--no-twins",
+    action="store_true",
+    help="do not measure twins of the records from raw counts: twice as quick, but the interval of "
+    "τ lacks the errors of calibration and of noise near zero flow, and every name of a missing "
+    "effect is provisional",
+)
