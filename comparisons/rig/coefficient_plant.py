@@ -78,6 +78,11 @@ class Plant:
         return float(np.std(self.quasi_steady(self.all_phi)))
 
     @cached_property
+    def psi_mean(self) -> float:
+        """Mean of ψ'_QS over all records."""
+        return float(np.mean(self.quasi_steady(self.all_phi)))
+
+    @cached_property
     def mean_speed(self) -> float:
         """Mean Nc over all records: the reference of the droop."""
         return float(np.mean([s.values(s.flow.origin_s + self._clock_s) for s in self.speeds]))

@@ -155,7 +155,7 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
     pressures = probe_pressures_pa(
         flow, total, area_m2=area_m2, slope=slope, offset=offset, ramp=settings.probe_ramp
     )
-    if plane == 25 and bench.altered.flow_noise:
+    if plane == 25 and bench.altered["flow_noise"]:
         pressures = _with_wake_noise(bench, *pressures)
     true, _, facility = bench.references[plane]
     for facing, pressure in zip(("forward", "aft"), pressures, strict=True):
@@ -218,10 +218,10 @@ def _local_flow(
     shift = shift * (1.0 + settings.hub_tip_bend * (mean / np.mean(mean) - 1.0))
     flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
     ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
-    if altered.rotating_stall_ripple:
+    if altered["rotating_stall_ripple"]:
         turn = SECOND_CELL_ROTOR_FRAC * 2.0 * pi * case.rotor_speed_rpm / 60.0
         angle = turn * time_s + _RAKE_ANGLE[rake]
-        reach = share * altered.rotating_stall_ripple * run["cells"] * _REACH[immersion]
+        reach = share * altered["rotating_stall_ripple"] * run["cells"] * _REACH[immersion]
         flow = flow + reach * case.cell_flow_kg_s * np.sin(angle)
         ripple = ripple + reach * case.cell_pressure_frac * np.sin(angle + _PRESSURE_LEAD)
     return flow, run[f"P{plane}"] * (1.0 + ripple)
@@ -237,7 +237,7 @@ def _with_wake_noise(
     """Shake the hole of a pair that lies downstream, in the wake of the probe's own support."""
     white = bench.wakes.standard_normal(forward_pa.size)
     eddies = lag(white, time_constant_s=WAKE_TIME_S, rate_hz=PLANT_RATE_HZ)
-    shake = bench.altered.flow_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
+    shake = bench.altered["flow_noise"] * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
     forward_flow = forward_pa >= aft_pa
     return (
         np.where(forward_flow, forward_pa, forward_pa + shake),
@@ -264,12 +264,12 @@ def _pressure_counts(
     settings, altered = bench.settings, bench.altered
     if plane == 31:
         pressure_pa = lag(
-            pressure_pa, time_constant_s=altered.second_order_lag, rate_hz=PLANT_RATE_HZ
+            pressure_pa, time_constant_s=altered["second_order_lag"], rate_hz=PLANT_RATE_HZ
         )
-        if altered.transport_delay:
+        if altered["transport_delay"]:
             rows = np.arange(pressure_pa.size, dtype=np.float64)
             pressure_pa = np.interp(
-                rows - altered.transport_delay * PLANT_RATE_HZ, rows, pressure_pa
+                rows - altered["transport_delay"] * PLANT_RATE_HZ, rows, pressure_pa
             )
     felt = tube(
         pressure_pa,
@@ -282,8 +282,8 @@ def _pressure_counts(
     zero_v = np.full(felt.size, bias_v)
     if plane == 31:
         time_s = np.arange(felt.size) / PLANT_RATE_HZ
-        sensitivity = sensitivity * (1.0 + altered.sensitivity_drift * time_s)
-        zero_v = zero_v + altered.bias_drift * time_s
+        sensitivity = sensitivity * (1.0 + altered["sensitivity_drift"] * time_s)
+        zero_v = zero_v + altered["bias_drift"] * time_s
     noise = settings.noise_percent / 100.0 * _HALF_SCALE_V
     tape = (
         zero_v
@@ -303,7 +303,7 @@ def _step(settings: SensorSettings) -> int:
 def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     """Return one thermocouple's reading in K: recovery, lag, noise, and the range's limit."""
     settings = bench.settings
-    unstated_s = bench.altered.thermocouple_lag if plane == 25 else 0.0
+    unstated_s = bench.altered["thermocouple_lag"] if plane == 25 else 0.0
     junction = lag(
         settings.recovery_factor * bench.run[f"T{plane}"],
         time_constant_s=settings.thermocouple_lag_s + unstated_s,

@@ -173,9 +173,9 @@ def _test_table(
 ) -> dict[str, Any]:
     """Return what ``test.toml`` holds, in the order of the file."""
     inertia = case.inertia_per_m
-    if altered.flow_inertia != 1.0:
+    if altered["flow_inertia"] != 1.0:
         # All digits of the product would give the factor away.
-        inertia = float(f"{inertia * altered.flow_inertia:.5g}")
+        inertia = float(f"{inertia * altered['flow_inertia']:.5g}")
     table: dict[str, Any] = {
         "test": {
             "name": f"simulated rig, case {case.name}",
@@ -243,9 +243,8 @@ def _truth_table(
 def _in_stall_curve(case: RigCase, altered: Alteration) -> dict[str, list[float]]:
     """Return the in-stall characteristic as a table, up to the flow of recovery."""
     phi = np.linspace(-0.05, case.recovery_phi, 81)
-    psi_p = np.polynomial.polynomial.polyval(phi, [*case.pressure_terms, case.pressure_cubic])
-    psi_p += case.pressure_kink * np.maximum(phi - case.kink_phi, 0.0)
-    psi_p += altered.characteristic_shape * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
+    psi_p = case.in_stall_psi_p(phi)
+    psi_p += altered["characteristic_shape"] * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
     return {"phi": phi.tolist(), "psi_p": psi_p.tolist()}
 
 
