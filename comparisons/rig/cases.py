@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from comparisons.rig.gas import T_REF_K
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 
@@ -216,30 +215,3 @@ def _cases() -> dict[str, RigCase]:
 
 
 CASES: Mapping[str, RigCase] = _cases()
-
-
-def find_case(case: str | RigCase) -> RigCase:
-    """Return the case of that name, or the case itself.
-
-    Parameters
-    ----------
-    case : str or RigCase
-        A name out of `CASES`, or a case.
-
-    Returns
-    -------
-    RigCase
-        The case.
-
-    Raises
-    ------
-    InputError
-        When no case has that name.
-    """
-    if isinstance(case, RigCase):
-        return case
-    if case not in CASES:
-        raise InputError(
-            "case", expected="one of " + ", ".join(CASES), found=f"{case!r}", remedy="name one"
-        )
-    return CASES[case]

@@ -238,8 +238,8 @@ def _excess_of(
         laid = [lay_steps(plant, i, t, {}, _COARSE) for i, t in enumerate(starts)]
         powers = range(1, degree + 1)
         return [
-            (one.step_s, [np.ascontiguousarray(one.at.phi**k) for k in powers], one.samples)
-            for one in laid
+            (step_s, [np.ascontiguousarray(at.phi**k) for k in powers], samples)
+            for at, step_s, samples in laid
         ]
 
     def left(psi: FloatArray, tau_s: float) -> FloatArray:

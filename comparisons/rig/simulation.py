@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.records import LedgerEntry, Record
-from comparisons.rig.cases import RigCase, find_case
+from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
 from comparisons.rig.hidden import BUMP_PHI, BUMP_WIDTH_PHI, hide_effect
 from comparisons.rig.instrument import (
@@ -94,7 +94,11 @@ def simulate(
         When the case or the effect is unknown, the duration or size is unusable, or the altered
         plant does not stay finite.
     """
-    plant = find_case(case)
+    plant = case if isinstance(case, RigCase) else CASES.get(case)
+    if plant is None:
+        raise InputError(
+            "case", expected="one of " + ", ".join(CASES), found=f"{case!r}", remedy="name one"
+        )
     settings = SensorSettings() if sensors is None else sensors
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
         raise InputError(
