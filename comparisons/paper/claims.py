@@ -9,7 +9,7 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
-from comparisons.paper import claims_facility, claims_identification, claims_surge
+from comparisons.paper import claims_facility, claims_identification
 from comparisons.paper.claim import Check, Claim, Finding
 from comparisons.paper.instabilities import Instabilities
 from surge_core.errors import InputError
@@ -21,7 +21,7 @@ _CHECKS: dict[int, Check] = {
     for number, read in claims_facility.READ_BACK.items()
 } | {
     int(name.removeprefix("claim_")): check
-    for module in (claims_facility, claims_surge, claims_identification)
+    for module in (claims_facility, claims_identification)
     for name, check in vars(module).items()
     if name.startswith("claim_")
 }

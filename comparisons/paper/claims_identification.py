@@ -13,7 +13,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.paper.claim import Finding
-from comparisons.paper.claims_surge import cell_power_ratio
+from comparisons.paper.claims_facility import cell_power_ratio
 from comparisons.paper.instabilities import (
     STEADY_STALL,
     THRESHOLD_LBM_S,
@@ -210,7 +210,7 @@ def claim_39(runs: Instabilities) -> Finding:
         f"lower by {below.min():.2f} to {below.max():.2f}; slope {slope:.1f} for "
         f"{steady_slope:.1f}",
         float(below.min()) > 0.0 and slope > steady_slope and max(wrong.values()) < SLOPE_WITHIN,
-        {"n": phi.size, "low": phi.min(), "high": phi.max(), "wrong": _by_shape(wrong)},
+        {"n": phi.size, "phi": (phi.min(), phi.max()), "wrong": _by_shape(wrong)},
     )
 
 

@@ -86,11 +86,15 @@ def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
     )
 
 
-def _picture(name: str, figure: Figure, seen: dict[str, float]) -> Picture:
+def _picture(name: str, figure: Figure, seen: dict[str, Any]) -> Picture:
     """Return a picture under its words of figures.toml, with the numbers that were seen."""
     words = tomllib.loads(files("comparisons.paper").joinpath("figures.toml").read_text("utf-8"))
     own = words[name]
     return Picture(own["title"], figure, own["shows"].format(**seen), own["beside"])
+
+
+def _ends(values: FloatArray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
 
 
 def _panel(x: str, y: str) -> tuple[Figure, Axes]:
@@ -162,16 +166,8 @@ def _migration(run: InstabilityRun) -> Picture:
     ax.plot(*point, "*", markersize=13, color=INK, label="its stall point")
     ax.axvline(0.0, color=INK, lw=0.6)
     legend_above(figure, ax)
-    seen = {
-        "ratio_low": ratio[rows].min(),
-        "ratio_high": ratio[rows].max(),
-        "flow_low": flow[rows].min(),
-        "flow_high": flow[rows].max(),
-        "speed": 100.0 * speed,
-        "stall_flow": point[0],
-        "stall_ratio": point[1],
-    }
-    return _picture("migration", figure, seen)
+    ends = {"ratio": _ends(ratio[rows]), "flow": _ends(flow[rows])}
+    return _picture("migration", figure, ends | {"speed": 100.0 * speed, "point": point})
 
 
 def phi_of_flow(run: InstabilityRun, flow_lbm_s: FloatArray, inlet_K: float) -> FloatArray:
@@ -225,17 +221,8 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     true = run.machine.in_stall_psi_p(inside)
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
-    seen = {
-        "low": low,
-        "high": high,
-        "off": off,
-        "true_low": true.min(),
-        "true_high": true.max(),
-        "tau": 1e3 * model.time_constant_s,
-        "true_tau": 1e3 * run.true_tau_s,
-        "gap_low": gap.min(),
-        "gap_high": gap.max(),
-    }
+    seen = {"phi": PAPER_PHI_985, "off": off, "true": _ends(true), "gap": _ends(gap)}
+    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.true_tau_s)
     return _picture("pressure", figure, seen)
 
 
@@ -289,8 +276,7 @@ def _reconstruction(run: InstabilityRun) -> Picture:
     figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
     legend_above(figure, ax)
-    seen = {"good": good.score.rms, "percent": good.score.fit_percent, "bad": bad.score.rms}
-    return _picture("reconstruction", figure, seen)
+    return _picture("reconstruction", figure, {"good": good.score, "bad": bad.score})
 
 
 def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
@@ -299,6 +285,4 @@ def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
     figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (new, ACCENT, "-"))
     legend_above(figure, ax)
-    seen = {"new_percent": new.score.fit_percent, "new": new.score.rms}
-    seen |= {"own_percent": own.score.fit_percent, "own": own.score.rms}
-    return _picture("validation", figure, seen)
+    return _picture("validation", figure, {"new": new.score, "own": own.score})
