@@ -158,7 +158,7 @@ def _lagged(at: Points, step_s: FloatArray, curve: FloatArray, planted: Planted)
         rate_hz = np.ones_like(at.phi) / tau
         for factor in factors:
             rate_hz = rate_hz / factor
-        psi = varying_lag(step_s, curve, rate_hz, kappa, start)
+        psi = _varying_lag(step_s, curve, rate_hz, kappa, start)
     else:
         psi = constant_lag(step_s, curve, tau, start)
     if "second_slow_mode" in planted:
@@ -239,17 +239,10 @@ def constant_lag(step_s: Any, inputs: Any, tau_s: Any, start: Any) -> Any:
 
 
 @njit(cache=True)
-def varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: float) -> Any:
+def _varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: float) -> Any:
     """Integrate dy/dt = (e + κ e|e|) r(t), e = u − y, by Runge-Kutta steps of fourth order.
 
-    Parameters
-    ----------
-    step_s, inputs, start
-        As in `constant_lag`.
-    rate_hz : ndarray of shape (3, m)
-        r = 1/τ in 1/s at the start, the middle and the end of each step.
-    kappa : float
-        Share of the relaxation that grows with the distance itself; 0: a lag.
+    As `constant_lag`, with r = 1/τ in 1/s at the start, the middle and the end of each step.
     """
     y = np.empty(step_s.size + 1)
     y[0] = start

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -232,15 +231,12 @@ def _excess_of(
     """
     starts = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
 
-    @cache
-    def inputs() -> list[tuple[FloatArray, list[FloatArray], IntArray]]:
-        """Return steps, powers of φ from the first on, and samples of each record."""
-        laid = [lay_steps(plant, i, t, {}, _COARSE) for i, t in enumerate(starts)]
-        powers = range(1, degree + 1)
-        return [
-            (step_s, [np.ascontiguousarray(at.phi**k) for k in powers], samples)
-            for at, step_s, samples in laid
-        ]
+    laid = [lay_steps(plant, i, t, {}, _COARSE) for i, t in enumerate(starts)]
+    # Steps, powers of φ from the first on, and samples of each record.
+    inputs = [
+        (step_s, [np.ascontiguousarray(at.phi**k) for k in range(1, degree + 1)], samples)
+        for at, step_s, samples in laid
+    ]
 
     def left(psi: FloatArray, tau_s: float) -> FloatArray:
         """Return what the best polynomial leaves at a time constant; a constant needs no lag."""
@@ -248,7 +244,7 @@ def _excess_of(
         for k in range(degree):
             parts = [
                 constant_lag(step_s, powers[k], tau_s, float(powers[k][0, 0]))[samples]
-                for step_s, powers, samples in inputs()
+                for step_s, powers, samples in inputs
             ]
             columns.append(np.concatenate(parts))
         orthogonal, _ = np.linalg.qr(np.column_stack(columns))

@@ -70,6 +70,8 @@ class Instruments:
         Temperature of the transducers of each plane.
     references : mapping of int to tuple of float
         The ZOC reference of each plane: as it is, as tape and facility read it, in Pa.
+    near_stall : dict of str to float
+        The facility's reading.
     values : dict of str to ndarray
         Counts or kelvin, one array a channel.
     channels : dict of str to dict
@@ -87,6 +89,7 @@ class Instruments:
     wakes: np.random.Generator
     rake_k: Mapping[int, FloatArray]
     references: Mapping[int, tuple[float, float, float]]
+    near_stall: Mapping[str, float]
     values: dict[str, FloatArray] = field(default_factory=dict)
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     truth: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -258,12 +261,14 @@ def instrument(
     case, run, settings, rng, altered
         As in `Instruments`.
     """
+    near_stall = _near_stall(run, settings, rng)
     references = {}
     for plane, true in zip(_PLANES, (case.zoc_inlet_pa, case.zoc_exit_pa), strict=True):
         tape, facility = true * (1.0 + settings.reference_error * rng.standard_normal(2))
         references[plane] = (true, float(tape), float(facility))
     rake_k = {plane: rake_temperature_k(plane, run[f"T{plane}"], settings) for plane in _PLANES}
-    out = Instruments(case, run, settings, altered, rng, rng.spawn(1)[0], rake_k, references)
+    wakes = rng.spawn(1)[0]
+    out = Instruments(case, run, settings, altered, rng, wakes, rake_k, references, near_stall)
     for plane, (true, tape, _) in references.items():
         for rake in _RAKES:
             for immersion in _IMMERSIONS:
@@ -283,30 +288,16 @@ def _wave(case: RigCase, angle: FloatArray) -> FloatArray:
     return np.asarray(np.sin(angle) + case.cell_second_harmonic * np.sin(2.0 * angle))
 
 
-def read_near_stall(
+def _near_stall(
     run: PlantRun, settings: SensorSettings, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Take the facility's near-stall reading: means over `NEAR_STALL_S`.
+    """Take the facility's near-stall reading, means over `NEAR_STALL_S`, as in ``test.toml``.
 
     Pressures come from remote transducers on the leak path of the rakes' tubes, so slow that the
     steady pressure passes and surge does not; temperatures from the facility's own thermocouples.
-
-    Parameters
-    ----------
-    run : PlantRun
-        What the plant did.
-    settings : SensorSettings
-        Lag of the remote transducers and errors of the readings.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    dict of str to float
-        As in ``test.toml``: P25_Pa, T25_K, P31_Pa, T31_K.
     """
     rows = slice(0, round(NEAR_STALL_S[1] * PLANT_RATE_HZ) + 1)
-    reading = {}
+    reading = {"from_s": NEAR_STALL_S[0], "to_s": NEAR_STALL_S[1]}
     for name, error in zip(("P25", "T25", "P31", "T31"), rng.standard_normal(4), strict=True):
         if name.startswith("T"):
             off = settings.facility_temperature_error_k * float(error)

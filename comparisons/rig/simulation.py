@@ -14,12 +14,10 @@ from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
 from comparisons.rig.hidden import BUMP_PHI, BUMP_WIDTH_PHI, hide_effect
 from comparisons.rig.instrument import (
-    NEAR_STALL_S,
     RAW_RATE_HZ,
     Instruments,
     corrected_plane_flow_kg_s,
     instrument,
-    read_near_stall,
 )
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
@@ -111,7 +109,6 @@ def simulate(
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
     run = run_plant(plant, n_rows=n_rows, altered=altered)
     rng = np.random.default_rng(seed)
-    near_stall = read_near_stall(run, settings, rng)
     chain = instrument(plant, run, settings, rng, altered)
     source = f"simulated rig, case {plant.name}, seed {seed}"
     did = LedgerEntry(
@@ -128,7 +125,7 @@ def simulate(
     parameters = _truth_table(chain, int(seed), truth)
     if hidden:
         parameters["hidden"] = hidden
-    return RigRun(raw, _test_table(chain, near_stall), truth, parameters)
+    return RigRun(raw, _test_table(chain), truth, parameters)
 
 
 def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
@@ -167,7 +164,7 @@ def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
     )
 
 
-def _test_table(chain: Instruments, near_stall: Mapping[str, float]) -> dict[str, Any]:
+def _test_table(chain: Instruments) -> dict[str, Any]:
     """Return what ``test.toml`` holds, in the order of the file."""
     case, settings, factor = chain.case, chain.settings, chain.altered["flow_inertia"]
     # All digits of the product would give the factor away.
@@ -195,7 +192,7 @@ def _test_table(chain: Instruments, near_stall: Mapping[str, float]) -> dict[str
             "low_V": ADC_LOW_V,
             "high_V": ADC_HIGH_V,
         },
-        "near_stall": {"from_s": NEAR_STALL_S[0], "to_s": NEAR_STALL_S[1], **near_stall},
+        "near_stall": dict(chain.near_stall),
         "segmentation": {
             "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation
         },
