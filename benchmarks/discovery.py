@@ -13,10 +13,11 @@ scores better than what was found, "data" where it does not.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pysindy as ps
 from scipy.integrate import solve_ivp
 
@@ -216,7 +218,6 @@ SYSTEMS = {
         ),
     ),
 }
-DEVELOPED_ON = tuple(SYSTEMS)[:6]
 
 
 def measured(system: System, noise: float, seed: int) -> tuple[Any, ...]:
@@ -242,6 +243,7 @@ def measured(system: System, noise: float, seed: int) -> tuple[Any, ...]:
 
 def cell(name: str, noise: float, with_pysindy: bool, seed: int) -> dict[str, Any]:
     """Discover one system once, and compare with its truth."""
+    warnings.simplefilter("ignore")  # pysindy warns at every threshold that leaves no term
     system = SYSTEMS[name]
     x, t, u = measured(system, noise, seed)
     options: dict[str, Any] = {}
@@ -319,36 +321,17 @@ def _pysindy(system: System, x: Any, t: Any, u: Any) -> bool:
     return False
 
 
-def rows(given: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield a row for each cell and seed."""
-    seeds = range(given.first_seed, given.first_seed + given.seeds)
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for name in given.systems:
-            for noise in given.noise:
-                one = partial(_quietly, name, noise, not given.no_pysindy)
-                found = list(pool.map(one, seeds))
-                print(_line(name, noise, found), flush=True)
-                yield from found
-
-
-def _quietly(name: str, noise: float, with_pysindy: bool, seed: int) -> dict[str, Any]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pysindy warns at every threshold that leaves no term
-        return cell(name, noise, with_pysindy, seed)
-
-
-def _line(name: str, noise: float, found: list[dict[str, Any]]) -> str:
-    exact = sum(row["exact"] for row in found)
-    errors = [row["error"] for row in found if row["error"] is not None]
-    error = f"{100 * np.median(errors):.2f} %" if errors else "-"
-    lacked = ", ".join(f"{row['seed']}: {row['lacked']}" for row in found if not row["exact"])
-    beside = [row["pysindy"] for row in found if "pysindy" in row]
-    other = f"{sum(beside)}/{len(beside)}" if beside else "-"
-    seconds = np.median([row["seconds"] for row in found])
-    return (
-        f"{name:22s}{100 * noise:4.0f} %  exact {exact}/{len(found)}  error {error:8s}"
-        f"pysindy {other:6s} {seconds:5.1f} s  {lacked}"
-    )
+def table(found: list[dict[str, Any]]) -> str:
+    """Return the table of the cells: exact supports, errors, seconds, and what lacked where."""
+    names = ["system", "noise", "seed", "exact", "error", "seconds", "pysindy", "lacked"]
+    rows = pd.DataFrame(found).reindex(columns=names)
+    rows["lacked"] = [f"{row['seed']}: {row['lacked']}" if "lacked" in row else "" for row in found]
+    groups = rows.groupby(["system", "noise"], sort=False)
+    shown = groups[["exact", "pysindy"]].sum(min_count=1)
+    shown.insert(1, "of", groups.size())
+    shown = shown.join(groups[["error", "seconds"]].median())
+    shown = shown.join(groups["lacked"].agg(lambda words: " ".join(filter(None, words))))
+    return shown.to_string(na_rep="-", float_format="%.3g")
 
 
 def main() -> None:
@@ -361,7 +344,11 @@ def main() -> None:
     parser.add_argument("--no-pysindy", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    found = list(rows(given))
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    cells = itertools.product(given.systems, given.noise, [not given.no_pysindy], seeds)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        found = list(pool.map(cell, *zip(*cells, strict=True)))
+    print(table(found))
     if given.json:
         given.json.write_text(json.dumps(found, indent=1))
 

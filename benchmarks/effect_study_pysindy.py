@@ -12,11 +12,12 @@ threshold, not the one with the largest coefficient among correlated ones.
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+from plain_pysindy import swept
 from scipy.signal import butter, hilbert, savgol_filter, sosfiltfilt
 
 from classic_ml import LagRegressor
@@ -24,25 +25,6 @@ from comparisons.rig.coefficient_tests import CoefficientRecord
 
 FloatArray = NDArray[np.float64]
 
-TERMS = (
-    "phi^4",
-    "phi^5",
-    "phi^2[phi<0]",
-    "dphi",
-    "phi dphi",
-    "phi^2 dphi",
-    "d2phi",
-    "d2psi",
-    "psi^2",
-    "t",
-    "t psi",
-    "Nc-1",
-    "(Nc-1) phi",
-    "psi dT/T",
-    "sgn(dphi) e",
-    "[phi<median] e",
-    "(A-A0) e",
-)
 # The terms that would put a user on the right track; None: no static term can say it.
 RIGHT_TERMS: dict[str, tuple[str, ...] | None] = {
     "transport_delay": None,
@@ -70,28 +52,7 @@ _THRESHOLDS = np.geomspace(1e-3, 1.0, 40)
 _BLOCKS = 12
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Candidates and discrepancy of some rows.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n, 17)
-        One a term.
-    known : ndarray of shape (n, degree + 2)
-        The terms of the base model: powers of φ, and ψ'.
-    lacking : ndarray of shape (n,)
-        dψ'/dt as measured, less that of the base model.
-    """
-
-    columns: FloatArray
-    known: FloatArray
-    lacking: FloatArray
-
-
-def sparse_discrepancy(
-    records: tuple[CoefficientRecord, ...], degree: int
-) -> tuple[list[str], float]:
+def sparse_discrepancy(records: tuple[CoefficientRecord, ...], degree: int) -> list[str]:
     """Run the recipe on the first two records of a test.
 
     Parameters
@@ -103,10 +64,8 @@ def sparse_discrepancy(
 
     Returns
     -------
-    terms : list of str
+    list of str
         Terms found, the last to survive a rising threshold first; empty for none.
-    explained : float
-        Share that they explain of what the terms of the base model leave of the held-out rows.
     """
     records = records[:_TRAIN_RECORDS]
     sizes = [int(_TRAIN_SHARE * r.phi.size) for r in records]
@@ -121,20 +80,16 @@ def sparse_discrepancy(
         np.concatenate([r.psi_p[:n] for r, n in zip(records, sizes, strict=True)]),
         segments=np.repeat(np.arange(len(records)), sizes),
     )
-    references = _references(records, sizes)
-    both = [_rows(r, base, references, degree) for r in records]
-    train = _joined(both, [slice(None, n) for n in sizes])
-    later = _joined(both, [slice(n, None) for n in sizes])
-    return _best_terms(train, later)
-
-
-def _references(records: tuple[CoefficientRecord, ...], sizes: list[int]) -> dict[str, float]:
-    pairs = list(zip(records, sizes, strict=True))
-    return {
-        "Nc": float(np.mean(np.concatenate([r.Nc_frac[:n] for r, n in pairs]))),
-        "phi": float(np.median(np.concatenate([r.phi[:n] for r, n in pairs]))),
-        "A": float(np.mean(np.concatenate([_amplitude(r)[:n] for r, n in pairs]))),
+    train = [(r, slice(None, n)) for r, n in zip(records, sizes, strict=True)]
+    references = {
+        "Nc": np.mean(np.concatenate([r.Nc_frac[part] for r, part in train])),
+        "phi": np.median(np.concatenate([r.phi[part] for r, part in train])),
+        "A": np.mean(np.concatenate([_amplitude(r)[part] for r, part in train])),
     }
+    tables = [_table(r, base, references) for r in records]
+    early = pd.concat([table[:n] for table, n in zip(tables, sizes, strict=True)])
+    late = pd.concat([table[n:] for table, n in zip(tables, sizes, strict=True)])
+    return _best_terms(early, late, degree)
 
 
 def _amplitude(record: CoefficientRecord) -> FloatArray:
@@ -150,53 +105,53 @@ def _derivative(values: FloatArray, period_s: float, order: int = 1) -> FloatArr
     )
 
 
-def _rows(
-    record: CoefficientRecord, base: LagRegressor, references: dict[str, float], degree: int
-) -> _Rows:
+def _table(
+    record: CoefficientRecord, base: LagRegressor, references: dict[str, Any]
+) -> pd.DataFrame:
+    """Return the candidates, φ and ψ', and dψ'/dt as measured less that of the base model."""
     h = float(record.time_s[1] - record.time_s[0])
     phi, psi, time = record.phi, record.psi_p, record.time_s
-    dphi, dpsi = _derivative(phi, h), _derivative(psi, h)
+    dphi = _derivative(phi, h)
     curve, _ = base.characteristic(phi)
     e = (curve - psi) / base.time_constant_s_
     speed = record.Nc_frac / references["Nc"] - 1.0
-    below = phi < references["phi"]
-    columns = (
-        phi**4,
-        phi**5,
-        np.where(phi < 0.0, phi**2, 0.0),
-        dphi,
-        phi * dphi,
-        phi**2 * dphi,
-        _derivative(phi, h, 2),
-        _derivative(psi, h, 2),
-        psi**2,
-        time,
-        time * psi,
-        speed,
-        speed * phi,
-        psi * _derivative(record.T25_K, h) / record.T25_K,
-        np.sign(dphi) * e,
-        below * e,
-        (_amplitude(record) / references["A"] - 1.0) * e,
+    columns = {
+        "phi^4": phi**4,
+        "phi^5": phi**5,
+        "phi^2[phi<0]": np.where(phi < 0.0, phi**2, 0.0),
+        "dphi": dphi,
+        "phi dphi": phi * dphi,
+        "phi^2 dphi": phi**2 * dphi,
+        "d2phi": _derivative(phi, h, 2),
+        "d2psi": _derivative(psi, h, 2),
+        "psi^2": psi**2,
+        "t": time,
+        "t psi": time * psi,
+        "Nc-1": speed,
+        "(Nc-1) phi": speed * phi,
+        "psi dT/T": psi * _derivative(record.T25_K, h) / record.T25_K,
+        "sgn(dphi) e": np.sign(dphi) * e,
+        "[phi<median] e": (phi < references["phi"]) * e,
+        "(A-A0) e": (_amplitude(record) / references["A"] - 1.0) * e,
+    }
+    return pd.DataFrame(columns | {"phi": phi, "psi": psi, "lacking": _derivative(psi, h) - e})
+
+
+def _best_terms(train: pd.DataFrame, later: pd.DataFrame, degree: int) -> list[str]:
+    names = [name for name in train if name not in ("phi", "psi", "lacking")]
+    # What the terms of the base model, fitted to the first rows, can say is taken out of all.
+    known, later_known = (
+        np.column_stack((*(t["phi"] ** k for k in range(degree + 1)), t["psi"]))
+        for t in (train, later)
     )
-    known = np.column_stack((*(phi**k for k in range(degree + 1)), psi))
-    return _Rows(np.column_stack(columns), known, dpsi - e)
-
-
-def _joined(rows: list[_Rows], parts: list[slice]) -> _Rows:
-    pairs = list(zip(rows, parts, strict=True))
-    return _Rows(
-        np.concatenate([r.columns[part] for r, part in pairs]),
-        np.concatenate([r.known[part] for r, part in pairs]),
-        np.concatenate([r.lacking[part] for r, part in pairs]),
-    )
-
-
-def _best_terms(train: _Rows, later: _Rows) -> tuple[list[str], float]:
-    columns, lacking, later_columns, later_lacking = _beside_the_base(train, later)
+    every, later_every = (t[[*names, "lacking"]].to_numpy() for t in (train, later))
+    shares = np.linalg.lstsq(known, every)[0]
+    left, later_left = every - known @ shares, later_every - later_known @ shares
+    columns, lacking = left[:, :-1], left[:, -1]
+    later_columns, later_lacking = later_left[:, :-1], later_left[:, -1]
     norms = np.linalg.norm(columns, axis=0)
     norms[norms == 0.0] = 1.0
-    weights = [np.zeros(len(TERMS)), *_swept(columns / norms, lacking)]
+    weights = [np.zeros(len(names)), *swept(columns / norms, lacking, _THRESHOLDS)]
     errors = np.array([(later_lacking - later_columns @ (w / norms)) ** 2 for w in weights])
     best = int(np.argmin(errors.sum(axis=1)))
     # Sum and standard error, over blocks, of how much worse each is than the best.
@@ -208,41 +163,11 @@ def _best_terms(train: _Rows, later: _Rows) -> tuple[list[str], float]:
         np.count_nonzero(w) if good else np.inf for w, good in zip(weights, as_good, strict=True)
     ]
     chosen = int(np.argmin(sizes))
-    terms = {i for i in range(len(TERMS)) if weights[chosen][i] != 0.0}
+    terms = {i for i in range(len(names)) if weights[chosen][i] != 0.0}
     # How long a term survives; among equals, how large it is at its last.
     survived = [max(n for n, w in enumerate(weights) if w[i] != 0.0) for i in terms]
     order = sorted(
         zip(terms, survived, strict=True),
         key=lambda pair: (-pair[1], -abs(weights[pair[1]][pair[0]])),
     )
-    explained = 1.0 - float(errors[chosen].sum() / np.sum(later_lacking**2))
-    return [TERMS[i] for i, _ in order], explained
-
-
-def _beside_the_base(
-    train: _Rows, later: _Rows
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Take out of everything what the terms of the base model, fitted to `train`, can say."""
-    every = np.column_stack((train.columns, train.lacking))
-    shares = np.linalg.lstsq(train.known, every)[0]
-    left = every - train.known @ shares
-    later_left = np.column_stack((later.columns, later.lacking)) - later.known @ shares
-    return left[:, :-1], left[:, -1], later_left[:, :-1], later_left[:, -1]
-
-
-def _swept(columns: FloatArray, lacking: FloatArray) -> list[FloatArray]:
-    """Run STLSQ, with its own ridge, over all thresholds from the lowest on."""
-    from pysindy import STLSQ
-
-    # It sees nothing but inner products: the triangular factor stands for the rows.
-    triangle = np.linalg.qr(np.column_stack((columns, lacking)), mode="r")
-    size = float(np.linalg.norm(lacking))
-    found = []
-    for share in _THRESHOLDS:
-        optimizer = STLSQ(threshold=share * size)
-        with warnings.catch_warnings():
-            # That a threshold removes every term.
-            warnings.simplefilter("ignore")
-            optimizer.fit(triangle[:, :-1], triangle[:, -1:])
-        found.append(np.asarray(optimizer.coef_[0]))
-    return found
+    return [names[i] for i, _ in order]

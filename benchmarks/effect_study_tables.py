@@ -6,10 +6,11 @@ A row is one test and what was said of it, as `effect_study.py` writes it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import beta
 
 from comparisons.rig.coefficient_effects import EFFECTS
@@ -22,42 +23,19 @@ NOISE_EFFECT = "flow_noise"
 NAMES = (*EFFECTS, NOISE_EFFECT)
 FIRM = ("named", "alias_set")
 PHI_NOISES = ("phi1", "phi3")
-SHORT = {
-    "transport_delay": "delay",
-    "facility_heating": "heat",
-    "speed_droop": "droop",
-    "hysteresis": "hyst",
-    "reverse_flow_branch": "rever",
-    "characteristic_shape": "shape",
-    "second_order_lag": "2nd",
-    "amplitude_dependent_lag": "amplt",
-    "asymmetric_lag": "asymm",
-    "flow_dependent_lag": "flowd",
-    "flow_inertia": "inert",
-    "thermocouple_lag": "thermo",
-    "sensitivity_drift": "sens",
-    "bias_drift": "bias",
-    "rotating_stall_ripple": "ripple",
-    NOISE_EFFECT: "flow~",
+# Heads of the columns of what is ranked first: names, and verdicts in place of one.
+_HEADS = """delay heat droop hyst rever shape 2nd amplt asymm flowd inert thermo sens bias ripple
+flow~"""
+SHORT = dict(zip(NAMES, _HEADS.split(), strict=True)) | {
     "unnamed_term": "open",
     "unexplained_structure": "unexpl",
     "noise_model_wrong": "noise",
     "nothing_missing": "none",
     "error": "error",
 }
-OUTCOMES = (
-    "unique",
-    "set",
-    "extra",
-    "prov. right",
-    "prov. other",
-    "WRONG",
-    "unnamed",
-    "unexpl.",
-    "noise",
-    "missed",
-    "error",
-)
+# The truth is in the set that is named.
+INSIDE = ("unique", "set", "extra", "prov. right")
+OUTCOMES = (*INSIDE, "prov. other", "WRONG", "unnamed", "unexpl.", "noise", "missed", "error")
 _OTHER_VERDICTS = {
     "unnamed_term": "unnamed",
     "unexplained_structure": "unexpl.",
@@ -132,50 +110,8 @@ def pair_outcome(row: Row) -> str:
 
 
 def kind(rows: Iterable[Row], name: str) -> list[Row]:
-    """Return the rows of one part of the study that a diagnosis was made of."""
-    return [row for row in rows if row["kind"] == name and row["verdict"] is not None]
-
-
-def confusion(rows: Sequence[Row], label: Callable[[Row], str], title: str) -> str:
-    """Return a matrix of counts: what was planted by what was ranked first."""
-    columns = list(SHORT)
-    counts: dict[str, Counter[str]] = {}
-    for row in rows:
-        counts.setdefault(label(row), Counter())[first_ranked(row)] += 1
-    lines = [f"{title:<25}" + "".join(f"{SHORT[c]:>7}" for c in columns)]
-    for name, count in counts.items():
-        cells = "".join(f"{count[c] or '.':>7}" for c in columns)
-        lines.append(f"{name:<25}{cells}")
-    return "\n".join(lines)
-
-
-def per_effect(rows: Sequence[Row]) -> str:
-    """Return how each effect came out, with the errors of τ and the column of pysindy."""
-    effects = list(dict.fromkeys(row["planted"][0] for row in rows))
-    lines = [
-        f"{'planted':<25}{'n':>4}"
-        + "".join(f"{name:>12}" for name in OUTCOMES)
-        + f"{'tau before %':>14}{'after %':>9}{'gap closed':>12}{'pysindy':>9}"
-    ]
-    for effect in effects:
-        mine = [row for row in rows if row["planted"][0] == effect]
-        done = [row for row in mine if row["verdict"] is not None]
-        count = Counter(outcome(row) for row in done)
-        text = f"{effect:<25}{len(mine):>4}"
-        text += "".join(f"{count[name] or '.':>12}" for name in OUTCOMES)
-        text += f"{_median(done, tau_error_before):>14.2f}{_median(done, tau_error_after):>9.2f}"
-        text += f"{_median(done, gap_closed):>12.3f}{_pysindy_cell(mine):>9}"
-        lines.append(text)
-    return "\n".join(lines)
-
-
-def _pysindy_cell(rows: Sequence[Row]) -> str:
-    answered = [row["pysindy"]["right"] for row in rows if row.get("pysindy")]
-    if not answered:
-        return ""
-    if answered[0] is None:
-        return "no term"
-    return f"{sum(map(bool, answered))}/{len(answered)}"
+    """Return the rows of one part of the study."""
+    return [row for row in rows if row["kind"] == name]
 
 
 def tau_error_before(row: Row) -> float:
@@ -195,43 +131,49 @@ def gap_closed(row: Row) -> float:
     return float(won / gap) if gap > 0.0 else float("nan")
 
 
-def _median(rows: Iterable[Row], of: Callable[[Row], float]) -> float:
-    values = [of(row) for row in rows if not row["error"]]
-    values = [value for value in values if np.isfinite(value)]
-    return float(np.median(values)) if values else float("nan")
+def measured(rows: Iterable[Row]) -> pd.DataFrame:
+    """Return what is measured of each row; NaN where the diagnosis broke."""
+    table = pd.DataFrame(list(rows))
+    done = table["error"] == ""
+    for name, of in (
+        ("gap closed", gap_closed),
+        ("tau before %", tau_error_before),
+        ("tau after %", tau_error_after),
+    ):
+        table[name] = [of(row) if good else np.nan for row, good in zip(rows, done, strict=True)]
+    table["planted"] = [" + ".join(row["planted"]) for row in rows]
+    return table
+
+
+def text_of(table: pd.DataFrame) -> str:
+    """Return a table of counts and numbers, with a dot for a count of none."""
+    whole = table.select_dtypes("integer")
+    shown = table.assign(**whole.astype(object).replace(0, "."))
+    return shown.to_string(float_format="%.2f", na_rep="-")
+
+
+def confusion(rows: Sequence[Row], label: Callable[[Row], str], title: str) -> str:
+    """Return a matrix of counts: what was planted by what was ranked first."""
+    labels = pd.Series([label(row) for row in rows], name=title)
+    first = pd.Series([SHORT[first_ranked(row)] for row in rows])
+    counts = pd.crosstab(labels, first).reindex(dict.fromkeys(labels))
+    return text_of(counts.reindex(columns=SHORT.values(), fill_value=0).rename_axis(columns=title))
+
+
+def per_effect(rows: Sequence[Row]) -> str:
+    """Return how each effect came out, with the errors of τ."""
+    table = measured(rows)
+    groups = table.groupby("planted", sort=False)
+    counts = pd.crosstab(table["planted"], pd.Series([outcome(row) for row in rows]))
+    shown = counts.reindex(index=list(groups.groups), columns=OUTCOMES, fill_value=0)
+    shown.insert(0, "n", groups.size())
+    medians = groups[["tau before %", "tau after %", "gap closed"]].median()
+    return text_of(shown.join(medians))
 
 
 def upper_bound(hits: int, n: int) -> float:
     """Return the 95 % upper bound of a rate (Clopper and Pearson)."""
     return 1.0 if hits >= n else float(beta.ppf(0.95, hits + 1, n - hits))
-
-
-def strengths_table(rows: Sequence[Row]) -> str:
-    """Return the outcomes of all effects together by strength."""
-    lines = [
-        f"{'strength':<10}{'n':>5}{'detected %':>12}{'first right %':>15}{'in set %':>10}"
-        f"{'unique %':>10}{'gap closed, p10':>18}{'tau before %':>22}{'tau after %':>22}"
-    ]
-    for strength in sorted({row["strength"] for row in rows}):
-        mine = [row for row in rows if row["strength"] == strength and not row["error"]]
-        if not mine:
-            continue
-        detected = sum(row["verdict"] != "nothing_missing" for row in mine)
-        first = sum(first_ranked(row) == row["planted"][0] for row in mine)
-        outcomes = Counter(outcome(row) for row in mine)
-        inside = sum(outcomes[k] for k in ("unique", "set", "extra", "prov. right"))
-        gaps = [g for g in map(gap_closed, mine) if np.isfinite(g)] or [float("nan")]
-        text = f"{strength:<10g}{len(mine):>5}"
-        for count, width in ((detected, 12), (first, 15), (inside, 10), (outcomes["unique"], 10)):
-            text += f"{100 * count / len(mine):>{width}.1f}"
-        text += f"{np.median(gaps):>10.3f}{np.quantile(gaps, 0.1):>8.3f}"
-        for of in (tau_error_before, tau_error_after):
-            errors = [of(row) for row in mine]
-            cells = (np.median(errors), np.quantile(errors, 0.9), max(errors))
-            text += f"{'/'.join(f'{c:.2f}' for c in cells):>22}"
-        lines.append(text)
-    lines.append("(tau: median / 90 % / largest error)")
-    return "\n".join(lines)
 
 
 def figures(rows: Sequence[Row], strength: float = 1.5) -> str:
@@ -251,14 +193,14 @@ def figures(rows: Sequence[Row], strength: float = 1.5) -> str:
         lines.append(f"outside the catalogue, {len(outside)} tests")
         lines.append(f"  firm names                     {firm}   (wanted: none)")
     lines += _numbers(effects, strength)
-    weak = Counter(row["planted"][0] for row in effects + outside if _weaker(row))
+    weak = Counter(
+        row["planted"][0]
+        for row in effects + outside
+        if any(got < 0.98 * row["strength"] for got in row["reached"].values())
+    )
     if weak:
         lines.append(f"weaker than asked, for it cannot be made stronger: {dict(weak)}")
     return "\n".join(lines)
-
-
-def _weaker(row: Row) -> bool:
-    return any(got < 0.98 * row["strength"] for got in row["reached"].values())
 
 
 def _naming_figures(rows: Sequence[Row]) -> list[str]:
@@ -282,16 +224,10 @@ def _null_figures(rows: Sequence[Row]) -> list[str]:
     if not rows:
         return []
     lines = [f"nothing missing, {len(rows)} tests: false names"]
-    total = 0
-    for noise in dict.fromkeys(row["noise"] for row in rows):
-        mine = [row for row in rows if row["noise"] == noise]
-        false = [name for row in mine for name in false_names(row)]
+    for noise, mine in _by(rows, lambda row: row["noise"]):
         hits = sum(bool(false_names(row)) for row in mine)
-        total += hits
-        verdicts = Counter(row["verdict"] or "error" for row in mine)
-        told = ", ".join(f"{name} {count}" for name, count in verdicts.most_common())
-        which = f"   {dict(Counter(false))}" if false else ""
-        lines.append(f"  {noise:<10}{hits:>4} of {len(mine):<5} [{told}]{which}")
+        lines.append(f"  {noise:<10}{hits:>4} of {len(mine):<5} {_verdicts(mine, false_names)}")
+    total = sum(bool(false_names(row)) for row in rows)
     lines.append(
         f"  in 1000                        {1000 * total / len(rows):.1f}   (wanted: at most 2; "
         f"95 % bound {1000 * upper_bound(total, len(rows)):.1f})"
@@ -299,108 +235,82 @@ def _null_figures(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def _by(rows: Iterable[Row], label: Callable[[Row], Any]) -> Iterator[tuple[Any, list[Row]]]:
+    """Yield the rows of each label, in the order in which the labels come."""
+    groups: dict[Any, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(label(row), []).append(row)
+    yield from groups.items()
+
+
+def _verdicts(rows: Sequence[Row], names: Callable[[Row], list[str]]) -> str:
+    """Return how often each verdict was given, and each name that counts against it."""
+    given = _counted(row["verdict"] or "error" for row in rows)
+    counted = Counter(name for row in rows for name in names(row))
+    return f"[{given}]" + (f"   {dict(counted)}" if counted else "")
+
+
+def _counted(words: Iterable[str], most: int | None = None) -> str:
+    return ", ".join(f"{word} {n}" for word, n in Counter(words).most_common(most))
+
+
 def _numbers(rows: Sequence[Row], strength: float) -> list[str]:
     done = [row for row in rows if not row["error"]]
     if not done:
         return []
-    at = [row for row in done if row["strength"] == strength]
+    table = measured(done)
+    at = table[table["strength"] == strength]
     lines = []
-    if at:
-        own = _median(at, lambda row: float(row["shrink"]))
+    if len(at):
         lines.append(
-            f"held-out gap closed at {strength:g} sigma  {100 * _median(at, gap_closed):.1f} %   "
-            f"(median, wanted: 95; by its own floor {100 * own:.1f})"
+            f"held-out gap closed at {strength:g} sigma  {100 * at['gap closed'].median():.1f} %   "
+            f"(median, wanted: 95; by its own floor {100 * at['shrink'].median():.1f})"
         )
     lines.append(
-        f"error of tau after               {_median(done, tau_error_after):.3f} %   "
-        f"(median, wanted: at most 0.2; before {_median(done, tau_error_before):.3f})"
+        f"error of tau after               {table['tau after %'].median():.3f} %   "
+        f"(median, wanted: at most 0.2; before {table['tau before %'].median():.3f})"
     )
-    seconds = [row["seconds"] for row in done]
     lines.append(
-        f"processor seconds a diagnosis    {np.median(seconds):.2f}   (median, wanted: at most 1; "
-        f"most {max(seconds):.2f})"
+        f"processor seconds a diagnosis    {table['seconds'].median():.2f}   "
+        f"(median, wanted: at most 1; most {table['seconds'].max():.2f})"
     )
     return lines
 
 
 def pairs_table(rows: Sequence[Row]) -> str:
     """Return how the pairs came out."""
-    lines = [f"{'pair':<50}{'n':>4}  {'tau before %':>13}{'after %':>9}   outcomes"]
-    for pair in dict.fromkeys(tuple(row["planted"]) for row in rows):
-        mine = [row for row in rows if tuple(row["planted"]) == pair]
-        count = Counter(pair_outcome(row) for row in mine)
-        told = ", ".join(f"{name} {n}" for name, n in count.most_common())
-        before, after = _median(mine, tau_error_before), _median(mine, tau_error_after)
-        lines.append(f"{' + '.join(pair):<50}{len(mine):>4}  {before:>13.2f}{after:>9.2f}   {told}")
-    return "\n".join(lines)
-
-
-def speed_table(rows: Sequence[Row]) -> str:
-    """Return the seconds of a diagnosis by length of the records, and their exponent."""
-    lengths = sorted({row["n_samples"] for row in rows})
-    medians = [
-        _median([r for r in rows if r["n_samples"] == n], lambda r: float(r["seconds"]))
-        for n in lengths
-    ]
-    lines = [f"{'rows a record':<15}" + "".join(f"{n:>9}" for n in lengths)]
-    lines.append(f"{'CPU seconds':<15}" + "".join(f"{value:>9.2f}" for value in medians))
-    if len(lengths) > 1:
-        slope = np.polyfit(np.log(lengths), np.log(medians), 1)[0]
-        lines.append(f"grows with the power {slope:.2f} of the length   (wanted: at most 1)")
-    return "\n".join(lines)
-
-
-def pysindy_nulls(rows: Sequence[Row]) -> str:
-    """Return what pysindy says where nothing is missing."""
-    lines = []
-    for noise in dict.fromkeys(row["noise"] for row in rows):
-        mine = [row["pysindy"]["terms"] for row in rows if row["noise"] == noise]
-        first = Counter(terms[0] for terms in mine if terms)
-        some = sum(map(bool, mine))
-        told = ", ".join(f"{name} {count}" for name, count in first.most_common(4))
-        lines.append(f"  {noise:<10}{some:>4} of {len(mine)} return a term: {told}")
-    return "\n".join(lines)
+    table = measured(rows)
+    table["outcomes"] = [pair_outcome(row) for row in rows]
+    groups = table.groupby("planted", sort=False)
+    shown = groups[["tau before %", "tau after %"]].median()
+    shown.insert(0, "n", groups.size())
+    return text_of(shown.join(groups["outcomes"].apply(_counted)))
 
 
 def report(rows: Sequence[Row]) -> str:
     """Return all tables that the rows allow."""
     parts = []
-    effects, nulls = kind(rows, "effect"), kind(rows, "null")
-    outside, pairs, speed = kind(rows, "outside"), kind(rows, "pair"), kind(rows, "speed")
+    effects, nulls, outside = (kind(rows, name) for name in ("effect", "null", "outside"))
     if effects:
         parts.append(confusion(effects, lambda r: r["planted"][0], "planted \\ ranked first"))
     if nulls:
         parts.append(confusion(nulls, lambda r: r["noise"], "nothing missing, noise"))
     if outside:
         parts.append(confusion(outside, lambda r: r["planted"][0], "outside the catalogue"))
-        parts.append(_outside_firm(outside))
-    planted = [row for row in rows if row["kind"] == "effect"]
-    if planted:
-        parts.append(per_effect(planted))
-    if effects:
-        parts.append(strengths_table(effects))
-    if pairs:
-        parts.append(pairs_table(pairs))
-    if speed:
-        parts.append(speed_table(speed))
-    asked = [row for row in rows if row["kind"] == "null" and row.get("pysindy")]
-    if asked:
-        parts.append("pysindy where nothing is missing\n" + pysindy_nulls(asked))
-    parts.append(figures(rows))
-    parts.append(failures(rows))
+        parts.append(
+            "\n".join(
+                f"{name:<25}{len(mine):>4}  {_verdicts(mine, firm_names)}"
+                for name, mine in _by(outside, lambda row: row["planted"][0])
+            )
+        )
+    for some, table in (
+        (effects, per_effect),
+        (kind(rows, "pair"), pairs_table),
+    ):
+        if some:
+            parts.append(table(some))
+    parts += [figures(rows), failures(rows)]
     return "\n\n".join(part for part in parts if part)
-
-
-def _outside_firm(rows: Sequence[Row]) -> str:
-    lines = []
-    for name in dict.fromkeys(row["planted"][0] for row in rows):
-        mine = [row for row in rows if row["planted"][0] == name]
-        firm = Counter(n for row in mine for n in firm_names(row))
-        verdicts = Counter(row["verdict"] or "error" for row in mine)
-        told = ", ".join(f"{v} {n}" for v, n in verdicts.most_common())
-        named = f"   firm: {dict(firm)}" if firm else ""
-        lines.append(f"{name:<25}{len(mine):>4}  [{told}]{named}")
-    return "\n".join(lines)
 
 
 def failures(rows: Sequence[Row]) -> str:
@@ -408,8 +318,6 @@ def failures(rows: Sequence[Row]) -> str:
     lines = []
     for row in rows:
         bad = row["error"]
-        if not bad and row["verdict"] is None:
-            continue
         if not bad and row["kind"] == "effect":
             bad = outcome(row) if outcome(row) not in ("unique", "set", "prov. right") else ""
         elif not bad and row["kind"] == "null":

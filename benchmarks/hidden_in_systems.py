@@ -15,12 +15,12 @@ from __future__ import annotations
 import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 # The truths and models are those of the tests.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
@@ -69,19 +69,7 @@ CASES: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What the diagnosis said of one record."""
-
-    found: bool
-    alone: bool
-    further: tuple[str, ...]
-    verdict: str
-    before: float
-    after: float
-
-
-def outcome(case: str, seed: int) -> Outcome:
+def outcome(case: str, seed: int) -> dict[str, Any]:
     """Make a record, diagnose it, and compare."""
     import system_models
     import system_truths
@@ -102,14 +90,16 @@ def outcome(case: str, seed: int) -> Outcome:
         further = tuple(names[0] for names in sets if not set(right) & set(names))
     run = said.checks[0]
     noise = NOISE * np.std(run.measured, axis=0)
-    return Outcome(
-        found,
-        alone,
-        further,
-        said.verdict,
-        float(np.max(run.before_rms / noise)),
-        float(np.max(run.after_rms / noise)),
-    )
+    return {
+        "hidden": case,
+        "named": found,
+        "alone": alone,
+        "further": bool(further),
+        "vague": said.verdict in ("provisional", "unnamed_term"),
+        "before": float(np.max(run.before_rms / noise)),
+        "after": float(np.max(run.after_rms / noise)),
+        "further names": further,
+    }
 
 
 def main() -> None:
@@ -125,22 +115,13 @@ def main() -> None:
     seeds = range(given.first_seed, given.first_seed + given.seeds)
     jobs = [(case, seed) for case in cases for seed in seeds]
     with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
-        every = list(pool.map(outcome, *zip(*jobs, strict=True)))
-    print(
-        f"{'hidden':32s} {'n':>3s} {'named':>6s} {'alone':>6s} {'further':>8s} {'vague':>6s}"
-        f" {'before':>8s} {'after':>7s}  further names"
-    )
-    for case in cases:
-        rows = [o for (c, _), o in zip(jobs, every, strict=True) if c == case]
-        names = ", ".join(sorted({n for o in rows for n in o.further}))
-        vague = sum(o.verdict in ("provisional", "unnamed_term") for o in rows)
-        print(
-            f"{case:32s} {len(rows):3d} {sum(o.found for o in rows):6d}"
-            f" {sum(o.alone for o in rows):6d} {sum(bool(o.further) for o in rows):8d}"
-            f" {vague:6d} {np.median([o.before for o in rows]):8.2f}"
-            f" {np.median([o.after for o in rows]):7.2f}  {names}",
-            flush=True,
-        )
+        rows = pd.DataFrame(list(pool.map(outcome, *zip(*jobs, strict=True))))
+    groups = rows.groupby("hidden", sort=False)
+    shown = groups[["named", "alone", "further", "vague"]].sum()
+    shown.insert(0, "n", groups.size())
+    shown = shown.join(groups[["before", "after"]].median())
+    names = groups["further names"].agg(lambda several: ", ".join(sorted({*several.sum()})))
+    print(shown.join(names).to_string(float_format="%.2f"))
 
 
 if __name__ == "__main__":

@@ -28,13 +28,14 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import random_machines
 
 from comparisons.rig import simulate, write_run
@@ -136,40 +137,34 @@ def answered(job: Job) -> Row:
     }
 
 
-def table(rows: Sequence[Row]) -> list[str]:
+def table(rows: Sequence[Row]) -> str:
     """Return one line for each source and each thing that was altered."""
-    heads = ("n", "refused", "in set", "kin", "open", "missed", "wrong", "in set / rest", "s")
-    widths = (4, 9, 8, 5, 8, 8, 7, 15, 6)
-    out = [" " * 34 + "".join(f"{h:>{w}s}" for h, w in zip(heads, widths, strict=True))]
-    groups = dict.fromkeys((row["source"][:1], str(row["hidden"])) for row in rows)
-    for kind, hidden in groups:
-        group = [r for r in rows if (r["source"][:1], str(r["hidden"])) == (kind, hidden)]
-        said = [row for row in group if "refused" not in row]
-        counted = Counter(" = ".join(members) for row in said for members in row["wrong"])
-        in_set, kin, wrong = (sum(bool(r[k]) for r in said) for k in ("in_set", "kin", "wrong"))
-        untold = sum(row["untold"] and not row["kin"] for row in said)
-        rest = len(said) - untold
-        cells = (
-            len(group),
-            len(group) - len(said),
-            *(("", "", "", "") if hidden == "None" else (in_set, kin, untold, rest - kin)),
-            wrong,
-            "" if hidden == "None" or not rest else f"{100 * in_set / rest:.0f} %",
-            f"{np.median([row['cpu_s'] for row in said]):.0f}" if said else "",
-        )
-        label = f"{group[0]['source'][:12]:13s}{'untouched' if hidden == 'None' else hidden:21s}"
-        line = "".join(f"{cell!s:>{width}s}" for cell, width in zip(cells, widths, strict=True))
-        out.append(f"{label}{line}  {', '.join(f'{n} x {what}' for what, n in counted.items())}")
-    return out
-
-
-def worked(jobs: Sequence[Job], n_jobs: int) -> Iterable[Row]:
-    """Do the jobs, several at a time."""
-    if n_jobs == 1:
-        yield from map(answered, jobs)
-        return
-    with ProcessPoolExecutor(n_jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(answered, jobs)
+    every = pd.DataFrame(rows)
+    every["source"] = every["source"].str[:1]
+    every["hidden"] = every["hidden"].fillna("untouched")
+    columns = {"refused", "in_set", "kin", "untold", "wrong", "cpu_s"}
+    every = every.reindex(columns=[*every, *columns.difference(every)])
+    lines = {}
+    for place, group in every.groupby(["source", "hidden"], sort=False):
+        said = group[group["refused"].isna()]
+        known = said[["in_set", "kin", "untold"]].astype(bool)
+        open_ = int((known["untold"] & ~known["kin"]).sum())
+        in_set, kin, rest = int(known["in_set"].sum()), int(known["kin"].sum()), len(said) - open_
+        altered = place[1] != "untouched"
+        wrong = Counter(" = ".join(members) for several in said["wrong"] for members in several)
+        lines[place] = {
+            "n": len(group),
+            "refused": len(group) - len(said),
+            "in set": in_set if altered else "",
+            "kin": kin if altered else "",
+            "open": open_ if altered else "",
+            "missed": rest - kin if altered else "",
+            "wrong": sum(map(bool, said["wrong"])),
+            "in set / rest": f"{100 * in_set / rest:.0f} %" if altered and rest else "",
+            "s": f"{said['cpu_s'].median():.0f}" if len(said) else "",
+            "": ", ".join(f"{n} x {what}" for what, n in wrong.items()),
+        }
+    return pd.DataFrame(lines).T.to_string()
 
 
 def main() -> None:
@@ -192,11 +187,12 @@ def main() -> None:
     wanted += tuple(filter(None, given.effects.split(",")))
     jobs = [(s, given.seed, number, h) for s in sources for number in numbers for h in wanted]
     rows = []
-    for row in worked(jobs, given.jobs):
-        rows.append(row)
-        said = row.get("refused") or f"{row['verdict']}: {row['names']}"
-        print(f"{row['source']}-{row['number']} {row['hidden']}: {said[:150]}", flush=True)
-    print("\n" + "\n".join(table(rows)))
+    with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
+        for row in pool.map(answered, jobs):
+            rows.append(row)
+            said = row.get("refused") or f"{row['verdict']}: {row['names']}"
+            print(f"{row['source']}-{row['number']} {row['hidden']}: {said[:150]}", flush=True)
+    print("\n" + table(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1), "utf-8")
 

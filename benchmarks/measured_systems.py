@@ -8,15 +8,13 @@ FOLDER holds a folder a system, with CSV files of its records.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import time
 from pathlib import Path
 
-import numpy as np
-
-from comparisons.missing_effect import Experiment, Model, P
+from comparisons.missing_effect import Model, P
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
+from comparisons.missing_effect.systems.files import read_experiment
 
 SYSTEMS: dict[str, tuple[Model, tuple[str, ...], tuple[str, ...]]] = {
     "tanks": (
@@ -117,14 +115,6 @@ SYSTEMS: dict[str, tuple[Model, tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
-def record(file: Path) -> Experiment:
-    with file.open() as rows:
-        header, *values = csv.reader(rows)
-    columns = dict(zip(header, np.array(values, dtype=float).T, strict=True))
-    steps = np.diff(columns.pop("time_s"))
-    return Experiment(file.stem, round(float(np.median(steps)), 9), columns)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
@@ -135,8 +125,8 @@ def main() -> None:
         begun, at = time.process_time(), args.folder / name
         d = diagnose_model(
             model,
-            [record(at / f"{n}.csv") for n in fit],
-            [record(at / f"{n}.csv") for n in check],
+            [read_experiment(at / f"{n}.csv") for n in fit],
+            [read_experiment(at / f"{n}.csv") for n in check],
         )
         print(f"{name}: {d.verdict}, {time.process_time() - begun:.0f} s of processor time")
         for item in d.missing:

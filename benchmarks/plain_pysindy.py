@@ -82,7 +82,15 @@ def _fit(
         rate = np.asarray(model.differentiation_method(psi_p, t=PERIOD_S))
         used = getattr(model.differentiation_method, "smoothed_x_", psi_p)
         columns = np.asarray(model.feature_library.transform(np.column_stack((used, phi))))
-        supports = _swept(columns, rate)
+    supports = {
+        f"{share:.3g} {ridge:g}": np.flatnonzero(found).tolist()
+        for ridge in RIDGES
+        for share, found in zip(
+            THRESHOLDS,
+            swept(columns, rate, THRESHOLDS, alpha=ridge, normalize_columns=True),
+            strict=True,
+        )
+    }
     wanted = canonical([*truth, "psi_p"])
     return {
         "right": [
@@ -118,21 +126,25 @@ def _hinge(knot: float) -> Callable[[FloatArray], FloatArray]:
     return lambda x: np.maximum(x - knot, 0.0)
 
 
-def _swept(columns: FloatArray, rate: FloatArray) -> dict[str, tuple[int, ...]]:
-    """Run STLSQ over all thresholds.
+def swept(
+    columns: FloatArray, target: FloatArray, thresholds: FloatArray, **options: Any
+) -> list[FloatArray]:
+    """Return STLSQ's coefficients at each threshold, a share of the norm of the target.
 
-    It sees nothing but inner products, so that the triangular factor of the record stands for it.
+    It sees nothing but inner products, so that the triangular factor stands for the rows.
     """
     from pysindy import STLSQ
 
-    triangle: FloatArray = np.asarray(np.linalg.qr(np.column_stack((columns, rate)), mode="r"))
-    found = {}
-    size = float(np.linalg.norm(rate))
-    for ridge in RIDGES:
-        for share in THRESHOLDS:
-            optimizer = STLSQ(threshold=share * size, alpha=ridge, normalize_columns=True)
+    triangle: FloatArray = np.asarray(np.linalg.qr(np.column_stack((columns, target)), mode="r"))
+    size = float(np.linalg.norm(target))
+    found = []
+    for share in thresholds:
+        optimizer = STLSQ(threshold=share * size, **options)
+        with warnings.catch_warnings():
+            # That a threshold removes every term.
+            warnings.simplefilter("ignore")
             optimizer.fit(triangle[:, :-1], triangle[:, -1:])
-            found[f"{share:.3g} {ridge:g}"] = tuple(np.flatnonzero(optimizer.coef_[0]).tolist())
+        found.append(np.asarray(optimizer.coef_[0]))
     return found
 
 

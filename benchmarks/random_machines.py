@@ -24,7 +24,6 @@ import glob
 import json
 import math
 import tempfile
-from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -32,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.signal import lfilter
 
 from classic_ml.io.raw import read_raw
@@ -207,70 +207,57 @@ def shape_found(job: tuple[str, bool, bool, int], seed: int) -> dict[str, Any] |
     }  # fmt: skip
 
 
-def shapes_table(rows: list[dict[str, Any]]) -> Iterator[str]:
+def shapes_table(rows: list[dict[str, Any]]) -> str:
     """Return the table of what was found, by shape."""
-    yield (
-        f"{'':34s}{'records':>8s}{'left':>6s}{'kink':>6s}{'either':>8s}{'undecided':>11s}"
-        f"{'φ³ in interval':>16s}{'curve, of the parabola':>24s}"
+    table = pd.DataFrame(rows)
+    table["kink"], table["either"] = (
+        table["finding"] == name for name in ("kink", "kink or cubic")
     )
-    for key in dict.fromkeys((row["pair"], row["shape"], row["added"]) for row in rows):
-        own = [row for row in rows if (row["pair"], row["shape"], row["added"]) == key]
-        n = {f: sum(r["finding"] == f for r in own) for f in ("kink", "kink or cubic")}
-        left, held = sum(n.values()), sum(row["held"] for row in own)
-        where = "" if key[1] == "parabola" else ", measured" if key[2] else ", in the plant"
-        label = ("pairs, " if key[0] else "") + key[1] + where
-        yield (
-            f"{label:34s}{len(own):8d}{left:6d}{n['kink']:6d}{n['kink or cubic']:8d}"
-            f"{len(own) - left:11d}{held:16d}{np.median([r['ratio'] for r in own]):24.2f}"
-        )
+    table["left"] = table["kink"] | table["either"]
+    groups = table.groupby(["pair", "shape", "added"], sort=False)
+    shown = groups[["left", "kink", "either", "held"]].sum()
+    shown.insert(0, "records", groups.size())
+    return shown.join(groups["ratio"].median()).to_string(float_format="%.2f")
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
-    """Return one line of a table: answers, within, covered, curve, refusals, crashes."""
-    said = [row for row in rows if row["answer_s"] is not None]
-    off = [abs(row["answer_s"] - row["true_s"]) for row in said]
-    within = sum(
-        o <= max(WITHIN_S, WITHIN_SHARE * row["true_s"]) for o, row in zip(off, said, strict=True)
-    )
-    covered = [row["low_s"] <= row["true_s"] <= row["high_s"] for row in said]
-    gross = sum(
-        o > GROSS_SHARE * row["true_s"] and not held
-        for o, row, held in zip(off, said, covered, strict=True)
-    )
-    curves = [row["curve"] for row in said if row["curve"] is not None]
-    crashed = sum(row["state"] == "crash" for row in rows)
-    return (
-        f"{len(rows):8d}{len(said):9d}{within:8d}{sum(covered):9d}{gross:7d}"
-        f"{sum(c <= CURVE for c in curves):6d}/{len(curves):<3d}"
-        f"{len(rows) - len(said) - crashed:9d}{crashed:9d}"
-    )
-
-
-def strata(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Return the table by stratum."""
-    heads = ("records", "answers", "within", "covered", "gross", "curve", "refused", "crashes")
-    widths = (8, 9, 8, 9, 7, 9, 10, 9)
-    yield " " * 34 + "".join(f"{h:>{w}s}" for h, w in zip(heads, widths, strict=True))
-    tests: list[tuple[str, Callable[[dict[str, Any]], bool]]] = [
-        ("all", lambda row: True),
-        ("stated sd up to 8 %", lambda row: row["share"] is not None and row["share"] <= 0.08),
-        ("τ up to 16 ms", lambda row: row["true_s"] <= 0.016),
-        ("loops in stall, 5 % and more", lambda row: row.get("mild_share", 0.0) >= 0.05),
-        ("deep cycles alone", lambda row: row.get("mild_share", 1.0) < 0.05),
-        ("bound on log τ up to 5 %", lambda row: row.get("bound", math.inf) <= 0.05),
-        ("noise of 0.3 % and more", lambda row: row.get("noise", 0.0) >= 0.3),
-        ("one rake", lambda row: row.get("rakes") == 1),
-        ("one rake, bound up to 5 %", lambda row: row.get("rakes") == 1 and row["bound"] <= 0.05),
-        ("one immersion", lambda row: row.get("immersions") == 1),
-        ("0.5 kHz", lambda row: row.get("rate_hz") == 500.0),
-        ("2 kHz", lambda row: row.get("rate_hz") == 2000.0),
-        ("no jump in the probes' law", lambda row: row.get("ramp", 0.0) > 0.0),
-        ("a bent curve", lambda row: row["shape"] == "bent"),
-    ]
-    for label, belongs in tests:
-        chosen = [row for row in rows if belongs(row)]
-        if chosen:
-            yield f"{label:34s}{summary(chosen)}"
+def strata(rows: list[dict[str, Any]]) -> str:
+    """Return the table of what came out, of all records and by stratum."""
+    table = pd.DataFrame(rows)
+    drawn = ["mild_share", "bound", "noise", "rakes", "immersions", "rate_hz", "ramp"]
+    table = table.reindex(columns=[*FIXED, *drawn, "shape"])
+    numbers = [name for name in table if name not in ("name", "state", "refused", "shape")]
+    table[numbers] = table[numbers].astype(float)
+    off, true = (table["answer_s"] - table["true_s"]).abs(), table["true_s"]
+    held = (table["low_s"] <= true) & (true <= table["high_s"])
+    counted = pd.DataFrame({
+        "records": np.ones(len(table), bool),
+        "answers": off.notna(),
+        "within": off <= np.fmax(WITHIN_S, WITHIN_SHARE * true),
+        "covered": held,
+        "gross": (off > GROSS_SHARE * true) & ~held,
+        "curve": table["curve"] <= CURVE,
+        "of curves": table["curve"].notna(),
+        "refused": off.isna() & (table["state"] != "crash"),
+        "crashes": table["state"] == "crash",
+    })  # fmt: skip
+    strata = {
+        "all": off.notna() | off.isna(),
+        "stated sd up to 8 %": table["share"] <= 0.08,
+        "τ up to 16 ms": true <= 0.016,
+        "loops in stall, 5 % and more": table["mild_share"] >= 0.05,
+        "deep cycles alone": table["mild_share"] < 0.05,
+        "bound on log τ up to 5 %": table["bound"] <= 0.05,
+        "noise of 0.3 % and more": table["noise"] >= 0.3,
+        "one rake": table["rakes"] == 1,
+        "one rake, bound up to 5 %": (table["rakes"] == 1) & (table["bound"] <= 0.05),
+        "one immersion": table["immersions"] == 1,
+        "0.5 kHz": table["rate_hz"] == 500.0,
+        "2 kHz": table["rate_hz"] == 2000.0,
+        "no jump in the probes' law": table["ramp"] > 0.0,
+        "a bent curve": table["shape"] == "bent",
+    }
+    shown = {label: counted[chosen].sum() for label, chosen in strata.items() if chosen.any()}
+    return pd.DataFrame(shown).T.to_string()
 
 
 def main() -> None:
@@ -297,7 +284,7 @@ def main() -> None:
             for row in filter(None, pool.map(partial(shape_found, seed=given.seed), jobs)):
                 rows.append(row)
                 print(*row.values(), flush=True)
-            print("\n".join(shapes_table(rows)))
+            print(shapes_table(rows))
             return
         if given.records:
             jobs = pool.map(partial(found, n_twins=n_twins), sorted(glob.glob(given.records)))
@@ -309,7 +296,7 @@ def main() -> None:
             rows.append(row)
             print(_line(row), flush=True)
     print()
-    print("\n".join(strata(rows)))
+    print(strata(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1), "utf-8")
 

@@ -7,10 +7,12 @@ Run with one thread: ``OMP_NUM_THREADS=1 python benchmarks/speed_of_fits.py``.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -94,22 +96,25 @@ def seconds(call: Callable[[], object], repeats: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    print(
-        f"{'noise':14s} {'rows':>8s} {'scipy ms':>9s} {'ours ms':>9s} {'ratio':>6s}"
-        f" {'tau ms':>9s} {'scipy':>9s} {'stderr ms':>9s} {'scipy':>8s}"
-    )
-    for noise in ("arx", "armax", "output-error"):
-        for n, repeats in ROWS.items():
-            phi, y = record(n)
-            model = LagRegressor(PERIOD_S, noise=noise).fit(phi[:2000, None], y[:2000])
-            plain_s = seconds(lambda p=phi, y=y, k=noise: by_scipy(p, y, k), repeats)
-            own_s = seconds(lambda m=model, p=phi, y=y: m.fit(p[:, None], y), repeats)
-            tau_s, stderr_s = by_scipy(phi, y, noise)
-            print(
-                f"{noise:14s} {n:8d} {1e3 * plain_s:9.2f} {1e3 * own_s:9.2f} {plain_s / own_s:6.2f}"
-                f" {1e3 * model.time_constant_s_:9.5f} {1e3 * tau_s:9.5f}"
-                f" {1e3 * model.time_constant_stderr_s_:9.5f} {1e3 * stderr_s:8.5f}"
-            )
+    rows = []
+    for noise, (n, repeats) in itertools.product(("arx", "armax", "output-error"), ROWS.items()):
+        phi, y = record(n)
+        model = LagRegressor(PERIOD_S, noise=noise).fit(phi[:2000, None], y[:2000])
+        plain_s = seconds(lambda p=phi, y=y, k=noise: by_scipy(p, y, k), repeats)
+        own_s = seconds(lambda m=model, p=phi, y=y: m.fit(p[:, None], y), repeats)
+        tau_s, stderr_s = by_scipy(phi, y, noise)
+        rows.append({
+            "noise": noise,
+            "rows": n,
+            "scipy ms": 1e3 * plain_s,
+            "ours ms": 1e3 * own_s,
+            "ratio": plain_s / own_s,
+            "tau ms": 1e3 * model.time_constant_s_,
+            "scipy": 1e3 * tau_s,
+            "stderr ms": 1e3 * model.time_constant_stderr_s_,
+            "of scipy": 1e3 * stderr_s,
+        })  # fmt: skip
+    print(pd.DataFrame(rows).to_string(index=False, float_format="%.5g"))
 
 
 if __name__ == "__main__":

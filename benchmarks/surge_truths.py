@@ -10,9 +10,11 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 from scipy.signal import lfilter
 
 FloatArray = NDArray[np.float64]
@@ -26,6 +28,8 @@ _LEAD_S = 0.5
 # In stall below this flow; shorter pieces are left out.
 _STALL_PHI = 0.27
 _SHORTEST_PIECE = 30
+# Of φ, for the slope of a characteristic.
+_STEP = 1e-6
 
 # Coefficients of ψ'_QS and of what depends on ψ' itself, by the names of the terms.
 TRUTHS: dict[str, dict[str, float]] = {
@@ -58,45 +62,6 @@ class Record:
     labels: NDArray[np.int64] | None = None
 
 
-def make_record(
-    truth: str,
-    noise: float,
-    seed: int,
-    n_samples: int = 5000,
-    *,
-    colour: float = 0.0,
-    late: int = 0,
-    pieces: bool = False,
-) -> Record:
-    """Simulate and measure one record.
-
-    Parameters
-    ----------
-    truth : str
-        Key of `TRUTHS`.
-    noise : float
-        Standard deviation of the noise as a share of each signal's own.
-    seed : int
-        A record's random numbers depend on this and on every other argument.
-    n_samples : int
-        Number of samples at 1 kHz.
-    colour : float
-        Coefficient of a first-order autoregression of the noise; 0 is white.
-    late : int
-        Samples by which ψ' is measured too late.
-    pieces : bool
-        Keep the in-stall pieces alone, cut to unequal lengths.
-
-    Returns
-    -------
-    Record
-        What was measured.
-    """
-    return simulate_record(
-        truth, noise, seed, n_samples, colour=colour, late=late, pieces=pieces
-    ).measured
-
-
 @dataclass(frozen=True)
 class Simulated:
     """A record with what it was before it was measured.
@@ -124,7 +89,30 @@ def simulate_record(
     late: int = 0,
     pieces: bool = False,
 ) -> Simulated:
-    """Simulate and measure one record, and keep its truth; see `make_record`."""
+    """Simulate and measure one record, and keep its truth.
+
+    Parameters
+    ----------
+    truth : str
+        Key of `TRUTHS`.
+    noise : float
+        Standard deviation of the noise as a share of each signal's own.
+    seed : int
+        A record's random numbers depend on this and on every other argument.
+    n_samples : int
+        Number of samples at 1 kHz.
+    colour : float
+        Coefficient of a first-order autoregression of the noise; 0 is white.
+    late : int
+        Samples by which ψ' is measured too late.
+    pieces : bool
+        Keep the in-stall pieces alone, cut to unequal lengths.
+
+    Returns
+    -------
+    Simulated
+        What was measured, and what it was before.
+    """
     key = f"{truth}|{noise}|{n_samples}|{colour}|{late}|{pieces}"
     rng = np.random.default_rng([seed, zlib.crc32(key.encode())])
     n_fine = FINER * (n_samples + late)
@@ -258,3 +246,76 @@ def _plain(name: str) -> str:
     for other in ("|phi|phi", "|phi| phi", "phi |phi|"):
         name = name.replace(other, "phi|phi|")
     return name.replace("psi'", "psi_p").replace("*", " ")
+
+
+class TauBound(NamedTuple):
+    """What can be had of τ from one record.
+
+    ``stderr_s`` is the Cramer-Rao bound of its standard error, ``one_step_s`` the error of the
+    one-step estimate from the truth, whose variance is the bound.
+    """
+
+    stderr_s: float
+    one_step_s: float
+
+
+def tau_bound(terms: dict[str, float], made: Simulated, noise: float) -> TauBound:
+    """Return the least error of τ with noise on both channels, for who knows the structure.
+
+    τ dψ'/dt + ψ' = Σ β s(φ) with φ joined by straight lines between samples gives
+    ψ'[k+1] = p ψ'[k] + (1 - R) f[k+1] + (R - p) f[k], p = exp(-h/τ), R = (1 - p) τ/h, f = Σ β s(φ).
+    With white noise on ψ' and on φ, and every true φ[k] unknown, the information on (τ, β) is
+    J' S⁻¹ J: J is the slope of this equation's error, S its covariance when both noises are put in.
+    That this is the information with all φ[k] as nuisance parameters is Woodbury's identity.
+
+    Parameters
+    ----------
+    terms : dict
+        The truth, without terms in ψ'.
+    made : Simulated
+        The record, in one piece, with what it was before it was measured.
+    noise : float
+        Standard deviation of the noise as a share of each signal's own.
+    """
+    p = np.exp(-PERIOD_S / TAU_S)
+    ratio = (1.0 - p) * TAU_S / PERIOD_S
+    jacobian = _jacobian(terms, made, p, ratio)
+    bands = _covariance(terms, made, noise, p, ratio)
+    covariance = np.linalg.inv(jacobian.T @ solveh_banded(bands, jacobian))
+    psi_off, phi_off = made.measured.psi_p - made.psi_p, made.measured.phi - made.phi
+    now, before = _weights(terms, made.phi, p, ratio)
+    errors = psi_off[1:] - p * psi_off[:-1] - now[1:] * phi_off[1:] - before[:-1] * phi_off[:-1]
+    one_step = -covariance @ (jacobian.T @ solveh_banded(bands, errors))
+    return TauBound(float(np.sqrt(covariance[0, 0])), float(one_step[0]))
+
+
+def _jacobian(terms: dict[str, float], made: Simulated, p: float, ratio: float) -> FloatArray:
+    """Return ∂(error of the equation)/∂(τ, β) at the truth."""
+    p_slope = p * PERIOD_S / TAU_S**2
+    ratio_slope = (1.0 - p) / PERIOD_S - p / TAU_S
+    curve = characteristic(terms, made.phi)
+    by_tau = -p_slope * (made.psi_p[:-1] - curve[:-1]) + ratio_slope * np.diff(curve)
+    columns = [characteristic({name: 1.0}, made.phi) for name in terms]
+    by_beta = [-(1.0 - ratio) * s[1:] - (ratio - p) * s[:-1] for s in columns]
+    return np.column_stack([by_tau, *by_beta])
+
+
+def _covariance(
+    terms: dict[str, float], made: Simulated, noise: float, p: float, ratio: float
+) -> FloatArray:
+    """Return the upper bands of S, tridiagonal since two neighbours share one sample."""
+    psi_variance, phi_variance = (noise * made.psi_p.std()) ** 2, (noise * made.phi.std()) ** 2
+    now, before = _weights(terms, made.phi, p, ratio)
+    bands = np.zeros((2, made.phi.size - 1))
+    bands[1] = psi_variance * (1.0 + p**2)
+    bands[1] += phi_variance * (now[1:] ** 2 + before[:-1] ** 2)
+    bands[0, 1:] = -p * psi_variance + phi_variance * now[1:-1] * before[1:-1]
+    return bands
+
+
+def _weights(
+    terms: dict[str, float], phi: FloatArray, p: float, ratio: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the noise of φ[k] enters the equation with that ends, and that starts, at k."""
+    slope = (characteristic(terms, phi + _STEP) - characteristic(terms, phi - _STEP)) / (2 * _STEP)
+    return (1.0 - ratio) * slope, (ratio - p) * slope

@@ -15,8 +15,10 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
@@ -38,11 +40,11 @@ INDEPENDENT = Path(__file__).parents[2] / "shared" / "data" / "independent_rig_9
 INDEPENDENT_BETA = (1.2135, 2.941, 47.358)
 
 
-def one_record(job: tuple[str, str, int], noise: float) -> dict[str, object]:
-    """Return what `compare` makes of one record, against its truth."""
+def one_record(job: tuple[str, str, int], noise: float) -> list[dict[str, Any]]:
+    """Return what each estimator of `compare` makes of one record, against its truth."""
     name, change, seed = job
     if name == "independent":
-        return _row(job, INDEPENDENT, INDEPENDENT_BETA)
+        return _rows(job, INDEPENDENT, INDEPENDENT_BETA)
     case = CASES[name]
     factors = CHANGES[change]
     if factors:
@@ -52,51 +54,49 @@ def one_record(job: tuple[str, str, int], noise: float) -> dict[str, object]:
     )
     with tempfile.TemporaryDirectory() as folder:
         write_run(run, Path(folder) / "run")
-        return _row(job, Path(folder) / "run", case.pressure_terms)
+        return _rows(job, Path(folder) / "run", case.pressure_terms)
 
 
-def _row(job: tuple[str, str, int], folder: Path, beta: tuple[float, ...]) -> dict[str, object]:
+def _rows(job: tuple[str, str, int], folder: Path, beta: tuple[float, ...]) -> list[dict[str, Any]]:
     series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
-    row: dict[str, object] = {"case": job[0], "change": job[1], "seed": job[2]}
     wanted = [spec for spec in default_estimators() if spec.name in ESTIMATORS]
-    comparison = compare_records([series], estimators=wanted)
-    for key in ESTIMATORS:
-        result = comparison.result(key)
+    rows = []
+    for result in compare_records([series], estimators=wanted).results:
         model = result.model
-        stderr = np.interp(AT, *np.asarray(model.table).T[[0, 2]])
-        row[key] = {
+        low_ms, high_ms = (1e3 * edge for edge in model.ci95_s)
+        error = model.quasi_steady(AT) - np.polynomial.polynomial.polyval(AT, beta)
+        rows.append({
+            "estimator": result.name,
+            "case": job[0],
+            "change": job[1],
+            "seed": job[2],
             "state": result.state,
             "terms": list(model.terms),
             "tau_ms": 1e3 * model.time_constant_s,
             "stderr_ms": 1e3 * model.time_constant_stderr_s,
-            "ci95_ms": [1e3 * edge for edge in model.ci95_s],
-            "curve_error": (
-                model.quasi_steady(AT) - np.polynomial.polynomial.polyval(AT, beta)
-            ).tolist(),
-            "curve_stderr": stderr.tolist(),
-        }
-    return row
+            "ci95_ms": [low_ms, high_ms],
+            "held": low_ms < TAU_MS < high_ms,
+            "curve_error": error.tolist(),
+            "curve_stderr": np.interp(AT, *np.asarray(model.table).T[[0, 2]]).tolist(),
+        })  # fmt: skip
+    return rows
 
 
-def summary(rows: list[dict[str, object]], key: str) -> dict[str, object]:
+def summary(rows: pd.DataFrame) -> dict[str, Any]:
     """Return the figures over records."""
-    fits = [row[key] for row in rows]
-    tau = np.array([fit["tau_ms"] for fit in fits])  # type: ignore[index]
-    edges = np.array([fit["ci95_ms"] for fit in fits])  # type: ignore[index]
-    error = np.array([fit["curve_error"] for fit in fits])  # type: ignore[index]
-    stderr = np.array([fit["curve_stderr"] for fit in fits])  # type: ignore[index]
-    off = tau - TAU_MS
+    off, error = rows["tau_ms"] - TAU_MS, np.array(rows["curve_error"].tolist())
+    z = error / np.array(rows["curve_stderr"].tolist())
     return {
-        "records": tau.size,
-        "refused": int(np.sum(~np.isfinite(tau))),
-        "tau_mean_ms": float(np.nanmean(tau)),
-        "tau_rms_error_ms": float(np.sqrt(np.nanmean(off**2))),
-        "tau_within_2_ms": float(np.mean(np.abs(off) < 2.0)),
-        "tau_worst_ms": float(np.nanmax(np.abs(off))),
-        "interval_holds_truth": float(np.mean((edges[:, 0] < TAU_MS) & (edges[:, 1] > TAU_MS))),
-        "curve_within_0.1": float(np.mean(np.max(np.abs(error), axis=1) < 0.1)),
-        "curve_rms_error": np.sqrt(np.nanmean(error**2, axis=0)).round(3).tolist(),
-        "curve_z": np.sqrt(np.nanmean((error / stderr) ** 2, axis=0)).round(2).tolist(),
+        "n": len(rows),
+        "refused": int(off.isna().sum()),
+        "mean": float(rows["tau_ms"].mean()),
+        "rms": float(np.sqrt((off**2).mean())),
+        "worst": float(off.abs().max()),
+        "< 2 ms %": 100.0 * float((off.abs() < 2.0).mean()),
+        "in 95 % %": 100.0 * float(rows["held"].mean()),
+        "curve < .1 %": 100.0 * float(np.mean(np.max(np.abs(error), axis=1) < 0.1)),
+        "rms error of the curve": np.sqrt(np.nanmean(error**2, axis=0)).round(3).tolist(),
+        "z": np.sqrt(np.nanmean(z**2, axis=0)).round(2).tolist(),
     }
 
 
@@ -119,25 +119,15 @@ def main() -> None:
     if INDEPENDENT.is_dir():
         jobs.append(("independent", "as is", 0))
     with ProcessPoolExecutor() as pool:
-        rows = list(pool.map(partial(one_record, noise=options.noise), jobs))
-    result = {}
-    for key in ESTIMATORS:
-        groups = {case: [row for row in rows if row["case"] == case] for case, *_ in jobs}
-        result[key] = {case: summary(group, key) for case, group in groups.items()}
-        result[key]["all"] = summary(rows, key)
-        print(
-            f"{key}\n{'':12s}{'n':>4s}{'mean':>7s}{'rms':>6s}{'worst':>7s}{'<2 ms':>7s}"
-            f"{'in 95 %':>9s}{'curve <.1':>11s}  rms error of the curve, z"
-        )
-        for case, s in result[key].items():
-            print(
-                f"{case:12s}{s['records']:4d}{s['tau_mean_ms']:7.2f}{s['tau_rms_error_ms']:6.2f}"
-                f"{s['tau_worst_ms']:7.2f}{s['tau_within_2_ms']:7.0%}"
-                f"{s['interval_holds_truth']:9.0%}{s['curve_within_0.1']:11.0%}  "
-                f"{s['curve_rms_error']} {s['curve_z']}"
-            )
+        rows = [row for some in pool.map(partial(one_record, noise=options.noise), jobs)
+                for row in some]  # fmt: skip
+    table = pd.DataFrame(rows)
+    groups = [*table.groupby(["estimator", "case"]), *table.groupby(["estimator"])]
+    figures = {"  ".join(place): summary(part) for place, part in groups}
+    shown = pd.DataFrame(figures).T
+    print(shown.map(lambda x: f"{x:.2f}" if isinstance(x, float) else str(x)).to_string())
     if options.json:
-        options.json.write_text(json.dumps({"summary": result, "rows": rows}, indent=1), "utf-8")
+        options.json.write_text(json.dumps({"summary": figures, "rows": rows}, indent=1), "utf-8")
 
 
 if __name__ == "__main__":

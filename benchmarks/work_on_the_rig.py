@@ -31,11 +31,7 @@ WAYS: dict[str, dict[str, Any]] = {
 
 def one_record(seed: int) -> dict[str, Any]:
     """Return τ and the error of the curve, each way, of one seed."""
-    run = simulate("90", seed=seed)
-    case = CASES["90"]
-    first, second = case.work_breaks
-    pieces = [np.minimum(AT, first), np.clip(AT - first, 0.0, second - first), AT * 0.0]
-    true = case.work_intercept + np.asarray(case.work_slopes) @ np.array(pieces)
+    run, true = simulate("90", seed=seed), CASES["90"].in_stall_psi(AT)
     with tempfile.TemporaryDirectory() as folder:
         write_run(run, Path(folder) / "run")
         raw = read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")

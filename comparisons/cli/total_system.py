@@ -16,7 +16,7 @@ TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_raw
     from comparisons import total_system as method
-    from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
+    from comparisons.total_system.facility import facility_of_case, rig_case_of_test
     from comparisons.total_system.sensitivity import N_ROWS
 
     record, test = read_raw(given.raw, given.test)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 from comparisons.page.blocks import Cell, Head, Table
@@ -16,28 +17,16 @@ class Finding(NamedTuple):
     """What the check of a claim gave.
 
     ``found`` is the number or the words; ``holds`` is None where the claim holds if that is what
-    is stated; ``how`` says how it was tested and what else was seen.
+    is stated; ``seen`` is what else was seen, by the names that the column ``how`` of claims.csv
+    has for it.
     """
 
     found: float | str
-    holds: bool | None
-    how: str
+    holds: bool | None = None
+    seen: Mapping[str, Any] = MappingProxyType({})
 
 
 Check: TypeAlias = Callable[[Instabilities], Finding]
-
-
-def reading(read: Callable[[Instabilities], float | str], how: str) -> Check:
-    """Return the check of a claim that only reads back how the rig was made.
-
-    Parameters
-    ----------
-    read : callable
-        Takes the runs, returns what the setting is.
-    how : str
-        Where it was read.
-    """
-    return lambda runs: Finding(read(runs), None, how)
 
 
 @dataclass(frozen=True)

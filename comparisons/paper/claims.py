@@ -9,18 +9,23 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
-from comparisons.paper import claims_facility, claims_identification, claims_surge
-from comparisons.paper.claim import Check, Claim
+from comparisons.paper import claims_facility, claims_identification
+from comparisons.paper.claim import Check, Claim, Finding
 from comparisons.paper.instabilities import Instabilities
 from surge_core.errors import InputError
 
-# A function named claim_NN checks claim NN.
-CHECKS: dict[int, Check] = {
+MAIN = claims_facility.MAIN
+# A function named claim_NN checks claim NN; some numbers are read back from the paper's machine.
+_CHECKS: dict[int, Check] = {
+    number: lambda runs, read=read: Finding(read(runs[MAIN]))
+    for number, read in claims_facility.READ_BACK.items()
+} | {
     int(name.removeprefix("claim_")): check
-    for module in (claims_facility, claims_surge, claims_identification)
-    for name, check in sorted(vars(module).items())
+    for module in (claims_facility, claims_identification)
+    for name, check in vars(module).items()
     if name.startswith("claim_")
 }
+CHECKS = dict(sorted(_CHECKS.items()))
 # Claims whose numbers are those of one machine and its facility: another machine has others, and
 # the claim is judged on the paper's alone. The rest must hold on most machines as well.
 OF_ONE_MACHINE = frozenset({19, 23, 25, 26, 28, 33, 37, 44})
@@ -87,7 +92,7 @@ def check_claim(runs: Instabilities, number: int) -> Claim:
         stated = float(row["stated"])
     except ValueError:
         stated = row["stated"]
-    found, holds, how = CHECKS[number](runs)
+    found, holds, seen = CHECKS[number](runs)
     # Rows go to JSON, which knows no numpy.
     plain = found if isinstance(found, str) else float(found)
     if holds is None:
@@ -95,14 +100,8 @@ def check_claim(runs: Instabilities, number: int) -> Claim:
             holds = plain == stated
         else:
             holds = math.isclose(plain, stated, rel_tol=SAME)
+    how = row["how"].format(**seen)
     return Claim(
-        int(row["id"]),
-        row["section"],
-        row["claim"],
-        row["kind"],
-        stated,
-        plain,
-        bool(holds),
-        how,
+        number, row["section"], row["claim"], row["kind"], stated, plain, bool(holds), how,
         row["unit"],
-    )
+    )  # fmt: skip

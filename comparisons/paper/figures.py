@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from classic_ml.calibration import calibrate
+from classic_ml.coefficients import flow_coefficient
 from classic_ml.filters import low_pass
 from classic_ml.flow import LBM_KG
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
@@ -27,23 +31,14 @@ from comparisons.page.style import (
 from comparisons.paper.claims_identification import steady_points
 from comparisons.paper.instabilities import (
     STEADY_STALL,
+    THRESHOLD_LBM_S,
     TRIAL_TIME_CONSTANT_S,
     WRONG_TIME_CONSTANT_S,
     Instabilities,
     InstabilityRun,
 )
-from comparisons.paper.truth import (
-    PSI_PA,
-    THRESHOLD_LBM_S,
-    in_stall_psi,
-    in_stall_psi_p,
-    phi_of_flow,
-    pressure_ratio,
-    stall_point,
-    temperature_K,
-    unstalled_psi_p,
-)
 from comparisons.results import FittedLag, Reconstruction
+from comparisons.rig.gas import PSI_PA
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
@@ -91,6 +86,17 @@ def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
     )
 
 
+def _picture(name: str, figure: Figure, seen: dict[str, Any]) -> Picture:
+    """Return a picture under its words of figures.toml, with the numbers that were seen."""
+    words = tomllib.loads(files("comparisons.paper").joinpath("figures.toml").read_text("utf-8"))
+    own = words[name]
+    return Picture(own["title"], figure, own["shows"].format(**seen), own["beside"])
+
+
+def _ends(values: FloatArray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
 def _panel(x: str, y: str) -> tuple[Figure, Axes]:
     figure = new_figure(height_in=HEIGHT_IN)
     ax = dress(figure.add_subplot())
@@ -123,14 +129,8 @@ def _spectra(run: InstabilityRun) -> Picture:
     cells = peak_frequency_hz(frequency, density[0], *CELL_BAND_HZ)
     at = int(np.argmin(np.abs(frequency - cells)))
     loss = {order: 10.0 * np.log10(density[0][at] / density[order][at]) for order in ORDERS}
-    caption = (
-        "Total pressure of a tip probe at plane 25 over the quasi-steady cycles, first-order trend "
-        f"removed. Rotating stall stands out at {cells:.1f} Hz (paper: 81.2) with its second "
-        f"harmonic; the filters take {loss[3]:.1f} dB (order 3) and {loss[5]:.1f} dB (order 5) "
-        f"from it, and leave what lies well below {settings.cutoff_hz:g} Hz."
-    )
-    title = "Spectra of the inlet pressure before and after the filters, 90 % speed"
-    return Picture(title, figure, caption, "In the paper: Figures 4 and 5.")
+    seen = {"cells": cells, "third": loss[3], "fifth": loss[5], "cutoff": settings.cutoff_hz}
+    return _picture("spectra", figure, seen)
 
 
 def _migration(run: InstabilityRun) -> Picture:
@@ -150,30 +150,40 @@ def _migration(run: InstabilityRun) -> Picture:
         x, y = np.where(near, flow, np.nan), np.where(near, ratio, np.nan)
         ax.plot(x, y, color=colour, lw=0.8, label=word)
     speed = float(np.median(record["Nc_frac"][rows & ~stalled]))
-    inlet_K = temperature_K(run, speed)
+    # The speed is constant, so that its corrected value says how warm the inlet is.
+    case = run.machine
+    inlet_K = case.supply_temperature_k * (case.corrected_speed_frac / speed) ** 2
     grid = np.linspace(0.0, float(flow[rows].max()) + 8.0, 400)
     phi = phi_of_flow(run, grid, inlet_K)
-    phi_s, psi_s = stall_point(run, speed)
-    below = in_stall_psi_p(run, phi) <= unstalled_psi_p(run, phi, speed)
-    curve = pressure_ratio(run, in_stall_psi_p(run, phi[below]), inlet_K)
+    phi_s, psi_s = case.stall_point(speed)
+    below = case.in_stall_psi_p(phi) <= case.unstalled_psi_p(phi, speed)
+    curve = pressure_ratio(run, case.in_stall_psi_p(phi[below]), inlet_K)
     ax.plot(grid[below], curve, **TRUTH, label="rig, in stall, quasi-steady")
     stable = phi >= phi_s
-    line = pressure_ratio(run, unstalled_psi_p(run, phi[stable], speed), inlet_K)
+    line = pressure_ratio(run, case.unstalled_psi_p(phi[stable], speed), inlet_K)
     ax.plot(grid[stable], line, color=INK, lw=1.6, label=f"rig, speed line at {100 * speed:.0f} %")
     point = (float(np.interp(phi_s, phi, grid)), float(pressure_ratio(run, psi_s, inlet_K)))
     ax.plot(*point, "*", markersize=13, color=INK, label="its stall point")
     ax.axvline(0.0, color=INK, lw=0.6)
     legend_above(figure, ax)
-    caption = (
-        "Pressure ratio over corrected flow in the quasi-steady cycles, between "
-        f"{ratio[rows].min():.1f} and {ratio[rows].max():.1f} and {flow[rows].min():.0f} and "
-        f"{flow[rows].max():.0f} lbm/s. The recoveries reach towards the rig's speed line at "
-        f"{100 * speed:.0f} %, the speed that the heated inlet leaves, and its stall point "
-        f"({point[1]:.1f} at {point[0]:.0f} lbm/s); the lag keeps the loops off the quasi-steady "
-        "curves."
-    )
-    title = "Operating point migration in the quasi-steady cycles, 98.5 % speed"
-    return Picture(title, figure, caption, "In the paper: Figure 11.")
+    ends = {"ratio": _ends(ratio[rows]), "flow": _ends(flow[rows])}
+    return _picture("migration", figure, ends | {"speed": 100.0 * speed, "point": point})
+
+
+def phi_of_flow(run: InstabilityRun, flow_lbm_s: FloatArray, inlet_K: float) -> FloatArray:
+    """Return φ of corrected flows in lbm/s at an inlet temperature (Eq 7)."""
+    test = run.paper.test
+    heat = np.full(flow_lbm_s.size, inlet_K)
+    flow = LBM_KG * flow_lbm_s
+    return flow_coefficient(flow, heat, test.areas_m2[25], test.rotor_velocity_m_s, test.compressor)
+
+
+def pressure_ratio(run: InstabilityRun, psi_p: ArrayLike, inlet_K: float) -> FloatArray:
+    """Return the pressure ratio of a ψ' at an inlet temperature."""
+    gas = run.paper.test.compressor
+    head = run.paper.test.rotor_velocity_m_s**2 / (2.0 * gas.specific_heat_J_kg_K * inlet_K)
+    power = gas.gamma / (gas.gamma - 1.0)
+    return np.asarray(np.maximum(1.0 + np.asarray(psi_p) * head, 0.0) ** power)
 
 
 def _curve(
@@ -200,7 +210,7 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     model = run.fits["psi_p"]
     figure, ax = _panel(PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]")
     _curve(ax, model, PAPER_PHI_985, ACCENT, "estimate, 98.5 % speed, ± 2 s.e.", grid)
-    ax.plot(grid, in_stall_psi_p(run, grid), **TRUTH, label="truth of the rig")
+    ax.plot(grid, run.machine.in_stall_psi_p(grid), **TRUTH, label="truth of the rig")
     phi, psi_p, spread = steady_points(steady.paper.series)
     word = "75 % speed, steady rotating stall"
     ax.errorbar(phi, psi_p, yerr=spread, fmt="s", color=MARK, ms=6, capsize=2.5, lw=1.0, label=word)
@@ -208,18 +218,12 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     ax.set_ylim(0.0)
     legend_above(figure, ax)
     inside = np.linspace(low, high, 81)
-    true = in_stall_psi_p(run, inside)
+    true = run.machine.in_stall_psi_p(inside)
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
-    caption = (
-        "In-stall pressure characteristic by the paper's estimator from the paper's reduction: "
-        f"within φ = {low:g} to {high:g} off the rig's own by at most {off:.2f} of "
-        f"{true.min():.1f} to {true.max():.1f}, with a time constant of "
-        f"{1e3 * model.time_constant_s:.0f} ms for the rig's {1e3 * run.true_tau_s:.0f}. Steady "
-        f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}."
-    )
-    title = "In-stall pressure characteristic, 98.5 % speed"
-    return Picture(title, figure, caption, "In the paper: Figure 23.")
+    seen = {"phi": PAPER_PHI_985, "off": off, "true": _ends(true), "gap": _ends(gap)}
+    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.true_tau_s)
+    return _picture("pressure", figure, seen)
 
 
 def _low_speed_characteristics(run: InstabilityRun) -> Picture:
@@ -227,26 +231,19 @@ def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
     figure, ax = _panel(PHI, "quasi-steady coefficient [-]")
-    off = []
+    off, case = {}, run.machine
     for target, truth, colour, symbol in (
-        ("psi_p", in_stall_psi_p, ACCENT, r"$\psi'_{\mathrm{QS}}$"),
-        ("psi", in_stall_psi, MARK, r"$\psi_{\mathrm{QS}}$"),
+        ("psi_p", case.in_stall_psi_p, ACCENT, r"$\psi'_{\mathrm{QS}}$"),
+        ("psi", case.in_stall_psi, MARK, r"$\psi_{\mathrm{QS}}$"),
     ):
         model = run.fits[target]
         _curve(ax, model, PAPER_PHI_90, colour, f"estimated {symbol}, ± 2 s.e.", grid)
-        ax.plot(grid, truth(run, grid), **TRUTH, label="truth of the rig")
-        off.append(np.abs(model.quasi_steady(inside) - truth(run, inside)).max())
+        ax.plot(grid, truth(grid), **TRUTH, label="truth of the rig")
+        off[target] = np.abs(model.quasi_steady(inside) - truth(inside)).max()
     ax.set_xlim(grid[0], grid[-1])
-    ax.set_ylim(0.0, 1.3 * float(in_stall_psi(run, grid).max()))
+    ax.set_ylim(0.0, 1.3 * float(case.in_stall_psi(grid).max()))
     legend_above(figure, ax)
-    caption = (
-        "Pressure coefficient (a parabola) and work coefficient (three straight pieces) of the "
-        "90 % test, of which no row is taken out as unstalled. From φ = 0.05 to 0.1 ψ' is off the "
-        f"rig's own by at most {off[0]:.2f} and ψ by {off[1]:.2f}: ψ is taken from the temperature "
-        "rise alone, which leaves out what is stored between the planes."
-    )
-    title = "Pressure and work characteristics, 90 % speed"
-    return Picture(title, figure, caption, "In the paper: Figure 25.")
+    return _picture("low_speed", figure, off)
 
 
 def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None) -> Reconstruction:
@@ -279,14 +276,7 @@ def _reconstruction(run: InstabilityRun) -> Picture:
     figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
     legend_above(figure, ax)
-    caption = (
-        "Actual ψ' of the 90 % test and its free run from the measured φ through the curve of "
-        f"Fig 25. The rms error over the window is {good.score.rms:.2f} "
-        f"({good.score.fit_percent:.0f} % fit) with 18 ms and {bad.score.rms:.2f} with the 243 ms "
-        "that the paper found at 98.5 %."
-    )
-    title = "Reconstructed pressure coefficient, 90 % speed"
-    return Picture(title, figure, caption, "In the paper: Figure 27.")
+    return _picture("reconstruction", figure, {"good": good.score, "bad": bad.score})
 
 
 def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
@@ -295,13 +285,4 @@ def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
     figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (new, ACCENT, "-"))
     legend_above(figure, ax)
-    caption = (
-        "The curve identified from the first 98.5 % instability, with 18 ms, run over the measured "
-        f"φ of the second, of which it has seen nothing: {new.score.fit_percent:.0f} % fit, rms "
-        f"error {new.score.rms:.2f}; on its own record {own.score.fit_percent:.0f} % and "
-        f"{own.score.rms:.2f}. In-stall intervals only, each from its own first ψ'."
-    )
-    title = "Validation on the second instability, 98.5 % speed"
-    return Picture(
-        title, figure, caption, "The paper validates at 90 % on the record that was fitted."
-    )
+    return _picture("validation", figure, {"new": new.score, "own": own.score})

@@ -33,6 +33,8 @@ TRIAL_TIME_CONSTANT_S = 0.018
 # "1.8 < Time < 3.6 Seconds" (Fig 11); no window is stated for the others, so it is found.
 PAPER_WINDOWS_S: Mapping[str, tuple[float, float]] = {"985": (1.8, 3.6)}
 CURVE_POINTS = 121
+# Paper, "Model Identification for 98.5% Corrected Speed": between in-stall and unstalled flow.
+THRESHOLD_LBM_S = 50.0
 # Shares of the paper's machine between which others are drawn: wide enough to move every number
 # that is compared, narrow enough that about every second machine surges at all four tests.
 ABOUT: Mapping[str, tuple[float, float]] = {
@@ -180,9 +182,7 @@ def _machine(rng: np.random.Generator, seed: int) -> Instabilities:
         return runs
 
 
-def run_case(
-    case: str | RigCase, seed: int = 0, window_s: tuple[float, float] | None = None
-) -> InstabilityRun:
+def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
     """Simulate, reduce and fit one test.
 
     Parameters
@@ -191,13 +191,10 @@ def run_case(
         The rig's case.
     seed : int
         Seed of the rig's sensors.
-    window_s : tuple of float, optional
-        Quasi-steady cycles; without it those of the paper, or found where it states none.
     """
     name = case if isinstance(case, str) else case.name
     rig = simulate(case, seed=seed)
-    window_s = window_s or PAPER_WINDOWS_S.get(name)
-    paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=window_s))
+    paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name)))
     fits = {}
     if name != STEADY_STALL:
         fits["psi_p"] = fit_paper(paper.series)

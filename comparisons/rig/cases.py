@@ -1,24 +1,23 @@
-"""Parameter sets of the simulated rig: the plants that surge, by name."""
+"""Parameter sets of the simulated rig: the plants that surge, by name (cases.toml)."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from importlib.resources import files
 from math import pi, sqrt
+from typing import Any
 
-from comparisons.rig.gas import LBM_KG, T_REF_K
-from surge_core.errors import InputError
+import numpy as np
 
-_T31_LIMIT_K = 635.0
+from comparisons.rig.gas import T_REF_K
+from surge_core.types import FloatArray
 
 
 @dataclass(frozen=True)
 class RigCase:
     """One plant: compressor, its branches, the facility around it, throttle schedule and cells.
-
-    The defaults are the 98.5 % set, found by a search for sets that surge (about one in six
-    does), with tau as the paper chose it. A constant marked as chosen was set so that the
-    signals match those of the independent record of the same set; its comment says so.
 
     Parameters
     ----------
@@ -97,92 +96,69 @@ class RigCase:
         Part of the record that ``test.toml`` names for the fit; None: it is left to be found.
     """
 
-    name: str = "985"
-    corrected_speed_frac: float = 0.985
-    supply_temperature_k: float = 255.0
-    face_pressure_pa: float = 55_000.0
-
-    # Compressor branches: beta, k_rev and phi_rec of the set that was found, tau of the paper.
-    pressure_terms: tuple[float, float, float] = (1.2135, 2.941, 47.358)
-    pressure_cubic: float = 0.0
-    pressure_kink: float = 0.0
-    kink_phi: float = 0.08
-    # Value at zero flow and three slopes of three straight pieces. Breaks: a choice
-    # inside the range 0 < φ < 0.175 that in-stall data reach.
-    work_intercept: float = 3.4
-    work_slopes: tuple[float, float, float] = (-12.0, 4.0, -3.0)
-    work_breaks: tuple[float, float] = (0.05, 0.125)
-    tau_s: float = 0.018
-    reverse_loss: float = 1443.0
-    recovery_phi: float = 0.14592
-    # Recovery counts only after phi has been below phi_rec - 0.05.
-    rearm_phi: float = 0.05
-    # phi_s and psi'_s at N_c 0.75 and 0.985, "stators at high-speed setting".
-    stall_speeds: tuple[float, float] = (0.75, 0.985)
-    stall_phis: tuple[float, float] = (0.272, 0.430)
-    stall_psi_ps: tuple[float, float] = (4.2, 6.75)
-    # From PR 23.4 at the initial flow; gives the recovery peaks of the independent record too.
-    unstalled_droop: float = 265.0
-    # psi'/psi = 0.84 returns every T31 that is stated: 698 K (98.5 %), 647 K (95 %), 576 K (90 %).
-    unstalled_efficiency: float = 0.84
-    blend_s: float = 0.003
-    cell_rise_s: float = 0.010
-    always_cells: float = 0.0
-    # 29.3 kg/s and a pressure ratio of 23.4.
-    near_stall_phi_ratio: float = 1.0334
-
-    # Gas path and facility, of the set that was found unless noted.
-    inertia_per_m: float = 10.707
-    inlet_inertia_per_m: float = 3.5758
-    internal_volume_m3: float = 0.08
-    internal_weight: float = 0.5
-    discharge_volume_m3: float = 0.33637
-    exhaust_volume_m3: float = 1.3915
-    inlet_volume_m3: float = 4.6259
-    face_volume_m3: float = 0.35
-    exhaust_pressure_frac: float = 0.562
-    supply_pump_kg_s_pa: float = 0.00034551
-    inlet_loss_frac: float = 0.01
-    recirculation_frac: float = 0.065984
-    recirculation_work: float = 3.4353
-    recirculation_exchange: float = 6.9734
-    reverse_heat_frac: float = 0.41356
-    coil_effectiveness: float = 0.5101
-    coil_lag_s: float = 1.9952
-    close_start_s: float = 0.15
-    close_rate_per_s: float = 0.35
-    # "x1.25 after stall" does not say of what; the area at stall is 0.955, the initial one 1. With
-    # 0.968 the first recovery comes 1.03 s after stall (1.06 in claim 23, 1.05 in the independent
-    # record) and 1.29 s with open_tau 1.6 (1.27 in claim 23).
-    open_reference: float = 0.968
-    open_ratio: float = 1.2503
-    open_lag_s: float = 1.4
-    throttle_sweep: float = 0.0
-    throttle_sweep_s: float = 3.0
-
-    # Cells: 82.5 Hz, h2 0.35, 5 % P25, 9 lbm/s; hub/tip +-11 lbm/s.
-    cell_frequency_hz: float = 82.5
-    cell_second_harmonic: float = 0.35
-    cell_pressure_frac: float = 0.05
-    cell_flow_kg_s: float = 9.0 * LBM_KG
-    hub_tip_flow_kg_s: float = 11.0 * LBM_KG
-    # Lock-in of the independent record at 82.5 Hz: 1 lbm/s at plane 31 against 11 at plane 25.
-    exit_cell_frac: float = 0.08
-
-    # E3 compressor: r_rms 0.28 m, A25 0.2938 m2; A31 and design speed as in the independent record.
-    mean_radius_m: float = 0.28
-    inlet_area_m2: float = 0.2938
-    exit_area_m2: float = 0.065
-    design_speed_rpm: float = 12_303.0
-
-    # The limit is not stated; at 255 K supply it lies between T31 near stall of 90 % (577 K) and of
-    # 95 % (645 K, of which a thermocouple shows 641 K).
-    t31_limit_k: tuple[float, float] | None = (200.0, _T31_LIMIT_K)
-    # 11 psia at plane 25, 110 psia at plane 31.
-    zoc_inlet_pa: float = 75_842.33
-    zoc_exit_pa: float = 758_423.3
-    segmentation: float | None = 50.0
-    window_s: tuple[float, float] | None = None
+    name: str
+    corrected_speed_frac: float
+    supply_temperature_k: float
+    face_pressure_pa: float
+    pressure_terms: tuple[float, float, float]
+    pressure_cubic: float
+    pressure_kink: float
+    kink_phi: float
+    work_intercept: float
+    work_slopes: tuple[float, float, float]
+    work_breaks: tuple[float, float]
+    tau_s: float
+    reverse_loss: float
+    recovery_phi: float
+    rearm_phi: float
+    stall_speeds: tuple[float, float]
+    stall_phis: tuple[float, float]
+    stall_psi_ps: tuple[float, float]
+    unstalled_droop: float
+    unstalled_efficiency: float
+    blend_s: float
+    cell_rise_s: float
+    always_cells: float
+    near_stall_phi_ratio: float
+    inertia_per_m: float
+    inlet_inertia_per_m: float
+    internal_volume_m3: float
+    internal_weight: float
+    discharge_volume_m3: float
+    exhaust_volume_m3: float
+    inlet_volume_m3: float
+    face_volume_m3: float
+    exhaust_pressure_frac: float
+    supply_pump_kg_s_pa: float
+    inlet_loss_frac: float
+    recirculation_frac: float
+    recirculation_work: float
+    recirculation_exchange: float
+    reverse_heat_frac: float
+    coil_effectiveness: float
+    coil_lag_s: float
+    close_start_s: float
+    close_rate_per_s: float
+    open_reference: float
+    open_ratio: float
+    open_lag_s: float
+    throttle_sweep: float
+    throttle_sweep_s: float
+    cell_frequency_hz: float
+    cell_second_harmonic: float
+    cell_pressure_frac: float
+    cell_flow_kg_s: float
+    hub_tip_flow_kg_s: float
+    exit_cell_frac: float
+    mean_radius_m: float
+    inlet_area_m2: float
+    exit_area_m2: float
+    design_speed_rpm: float
+    t31_limit_k: tuple[float, float] | None
+    zoc_inlet_pa: float
+    zoc_exit_pa: float
+    segmentation: float | None
+    window_s: tuple[float, float] | None
 
     @property
     def rotor_speed_rpm(self) -> float:
@@ -195,118 +171,47 @@ class RigCase:
         """Mean rotor velocity U."""
         return 2.0 * pi * self.rotor_speed_rpm / 60.0 * self.mean_radius_m
 
+    def in_stall_psi_p(self, phi: FloatArray) -> FloatArray:
+        """Return ψ'_QS in stall, without the loss of reversed flow (Eq 12)."""
+        terms = [*self.pressure_terms, self.pressure_cubic]
+        bend = self.pressure_kink * np.maximum(phi - self.kink_phi, 0.0)
+        return np.asarray(np.polynomial.polynomial.polyval(phi, terms) + bend)
 
-_BASE = RigCase()
-
-_NINETY = replace(
-    _BASE,
-    name="90",
-    corrected_speed_frac=0.90,
-    supply_temperature_k=280.0,
-    face_pressure_pa=60_000.0,
-    pressure_terms=(1.0294, 1.2835, 46.25),
-    reverse_loss=200.0,
-    recovery_phi=0.14341,
-    discharge_volume_m3=0.50757,
-    exhaust_volume_m3=1.8693,
-    inlet_volume_m3=4.0455,
-    recirculation_frac=0.069638,
-    # T31 577 K before stall at 255 K supply, 633 K at this case's 280 K.
-    near_stall_phi_ratio=1.0233,
-    open_ratio=0.89042,
-    open_lag_s=0.4,
-    always_cells=0.85,
-    # The same limit in proportion to the supply temperature. No one number in kelvin would do: T31
-    # in this case's surge reads up to 677 K at 280 K supply, above that of 95 % near stall.
-    t31_limit_k=(200.0, _T31_LIMIT_K * 280.0 / 255.0),
-    segmentation=None,
-)
-
-_BLOWDOWN = replace(
-    _BASE,
-    name="blowdown",
-    pressure_terms=(1.2867, 0.96208, 23.913),
-    reverse_loss=1000.0,
-    recovery_phi=0.18456,
-    discharge_volume_m3=1.2112,
-    exhaust_volume_m3=2.9498,
-    inlet_volume_m3=8.9383,
-    recirculation_frac=0.071361,
-    recirculation_work=3.9624,
-    recirculation_exchange=4.3879,
-    coil_effectiveness=0.58151,
-    coil_lag_s=0.8152,
-    open_ratio=1.2097,
-    supply_pump_kg_s_pa=0.00038657,
-    inertia_per_m=6.0277,
-    inlet_inertia_per_m=3.1254,
-    exhaust_pressure_frac=0.37159,
-    reverse_heat_frac=0.95814,
-)
-
-# Low-speed rotating stall (paper, Fig 20 and 23). All here was chosen. The throttle sits close
-# behind the machine, without whose discharge volume there is no surge, and is moved to and fro
-# slowly; the inlet stands open to the atmosphere. Its in-stall curve lies above that of the 98.5
-# % set and is less steep near zero flow, as Moore and Greitzer predict of rotating stall against
-# surge; the two meet at φ = 0.18, beyond the paper's reliable range.
-_STEADY_STALL = replace(
-    _BASE,
-    name="75-stall",
-    corrected_speed_frac=0.75,
-    supply_temperature_k=288.15,
-    face_pressure_pa=90_000.0,
-    pressure_terms=(2.05, 2.0, 27.0),
-    # Above the pressure coefficient over the whole sweep, or the blading would be too good.
-    work_intercept=4.0,
-    # Beyond every flow of the sweep: the machine stays in stall.
-    recovery_phi=0.23,
-    near_stall_phi_ratio=1.03,
-    discharge_volume_m3=0.05,
-    exhaust_volume_m3=0.3,
-    supply_pump_kg_s_pa=0.005,
-    recirculation_frac=0.003,
-    open_ratio=0.46,
-    open_lag_s=0.1,
-    throttle_sweep=0.7,
-    window_s=(1.0, 3.9),
-)
-
-CASES: Mapping[str, RigCase] = {
-    case.name: case
-    for case in (
-        _BASE,
-        _NINETY,
-        # T31 645 K before stall.
-        replace(_BASE, name="95", corrected_speed_frac=0.95, near_stall_phi_ratio=1.029),
-        replace(_BASE, name="985-second", open_lag_s=1.6),
-        _BLOWDOWN,
-        _STEADY_STALL,
-    )
-}
-
-
-def find_case(case: str | RigCase) -> RigCase:
-    """Return the case of that name, or the case itself.
-
-    Parameters
-    ----------
-    case : str or RigCase
-        A name out of `CASES`, or a case.
-
-    Returns
-    -------
-    RigCase
-        The case.
-
-    Raises
-    ------
-    InputError
-        When no case has that name.
-    """
-    if isinstance(case, RigCase):
-        return case
-    if case not in CASES:
-        raise InputError(
-            "case", expected="one of " + ", ".join(CASES), found=f"{case!r}", remedy="name one"
+    def in_stall_psi(self, phi: FloatArray) -> FloatArray:
+        """Return ψ_QS in stall: three straight pieces (Eq 14)."""
+        first, second = self.work_breaks
+        pieces = (
+            np.minimum(phi, first),
+            np.clip(phi - first, 0.0, second - first),
+            np.maximum(phi - second, 0.0),
         )
-    return CASES[case]
+        return np.asarray(self.work_intercept + np.tensordot(self.work_slopes, pieces, 1))
+
+    def stall_point(self, speed_frac: float) -> tuple[float, float]:
+        """Return φ and ψ' of the stall point at a corrected speed."""
+        low, high = self.stall_speeds
+        x = (speed_frac - low) / (high - low)
+        (phi_low, phi_high), (psi_low, psi_high) = self.stall_phis, self.stall_psi_ps
+        return phi_low + x * (phi_high - phi_low), psi_low + x * (psi_high - psi_low)
+
+    def unstalled_psi_p(self, phi: FloatArray, speed_frac: float) -> FloatArray:
+        """Return ψ'_QS out of stall at a corrected speed: flat up to the stall point, then down."""
+        phi_s, psi_s = self.stall_point(speed_frac)
+        return np.asarray(psi_s - self.unstalled_droop * np.maximum(phi - phi_s, 0.0) ** 2)
+
+
+def _cases() -> dict[str, RigCase]:
+    text = files("comparisons.rig").joinpath("cases.toml").read_text("utf-8")
+    sets = tomllib.loads(text)
+    base = next(iter(sets.values()))
+    cases = {}
+    for name, own in sets.items():
+        numbers: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else None if value == "none" else value
+            for key, value in (base | own).items()
+        }
+        cases[name] = RigCase(name, **numbers)
+    return cases
+
+
+CASES: Mapping[str, RigCase] = _cases()

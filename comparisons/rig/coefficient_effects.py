@@ -45,10 +45,8 @@ class Form:
     ----------
     size : str
         Name of the parameter that its strength is set by.
-    guess : callable
-        Plant to the size of a visible effect.
-    limit : callable
-        Plant to the largest size that still makes sense.
+    sizes : callable
+        Plant to the size of a visible effect, and to the largest that still makes sense.
     draw : callable
         Plant and generator to its other parameters.
     signed : bool
@@ -61,8 +59,7 @@ class Form:
     """
 
     size: str
-    guess: Callable[[Plant], float]
-    limit: Callable[[Plant], float]
+    sizes: Callable[[Plant], tuple[float, float]]
     draw: Callable[[Plant, np.random.Generator], dict[str, float]] = lambda plant, rng: {}
     signed: bool = False
     curve: Change | None = None
@@ -96,9 +93,13 @@ def _draw_ripple(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
     }
 
 
-def _longest_thermocouple_lag_s(plant: Plant) -> float:
+def _reference_speed(plant: Plant, _: np.random.Generator) -> dict[str, float]:
+    return {"reference_frac": plant.mean_speed}
+
+
+def _thermocouple_sizes(plant: Plant) -> tuple[float, float]:
     swings = [c.cyclic[0] * 2.0 * pi * c.flow.surge_hz for c in plant.temperatures]
-    return _DEEPEST_CORRECTION / max(swings)
+    return 0.2, _DEEPEST_CORRECTION / max(swings)
 
 
 def _stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
@@ -180,33 +181,29 @@ def _saturating_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArra
 
 
 _CATALOGUE: Mapping[str, Form] = {
-    "transport_delay": Form("delay_s", lambda p: 0.03 * p.tau_s, lambda p: p.tau_s),
+    "transport_delay": Form("delay_s", lambda p: (0.03 * p.tau_s, p.tau_s)),
     "facility_heating": Form(
         "loss_frac",
-        lambda p: 0.01,
-        lambda p: 0.9,
+        lambda p: (0.01, 0.9),
         lambda p, rng: {"heating_time_s": rng.uniform(0.5, 3.0) * p.duration_s},
         curve=_heating,
     ),
     "speed_droop": Form(
         "exponent",
-        lambda p: 0.5,
-        lambda p: 60.0,
-        lambda p, rng: {"reference_frac": p.mean_speed},
+        lambda p: (0.5, 60.0),
+        _reference_speed,
         curve=lambda p, at, curve: curve * _speed_ratio(p, at) ** p["exponent"],
     ),
     "hysteresis": Form(
         "step",
-        lambda p: 0.05 * p.psi_std,
-        lambda p: 5.0 * p.psi_std,
+        lambda p: (0.05 * p.psi_std, 5.0 * p.psi_std),
         _draw_hysteresis,
         curve=_hysteresis,
         levels=lambda p: (p["phi_lo"], p["phi_hi"]),
     ),
     "reverse_flow_branch": Form(
         "coefficient",
-        lambda p: 0.02 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
-        lambda p: 10.0 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
+        lambda p: tuple(k * p.psi_std / max(p.all_phi[0] ** 2, 1e-4) for k in (0.02, 10.0)),
         lambda p, rng: {"lagged": float(rng.random() < 0.5)},
         curve=lambda p, at, curve: curve + _reverse(p, at) if p["lagged"] else curve,
         output=lambda p, at, psi: psi if p["lagged"] else psi + _reverse(p, at),
@@ -214,28 +211,25 @@ _CATALOGUE: Mapping[str, Form] = {
     ),
     "characteristic_shape": Form(
         "height",
-        lambda p: 0.05 * p.psi_std,
-        lambda p: 20.0 * p.psi_std,
+        lambda p: (0.05 * p.psi_std, 20.0 * p.psi_std),
         _draw_bump,
         signed=True,
         curve=_bump,
     ),
-    "second_order_lag": Form("a2_s2", lambda p: 0.02 * p.tau_s**2, lambda p: p.tau_s**2),
+    "second_order_lag": Form("a2_s2", lambda p: (0.02 * p.tau_s**2, p.tau_s**2)),
     "amplitude_dependent_lag": Form(
         "slope",
-        lambda p: 0.1,
-        lambda p: 3.0,
+        lambda p: (0.1, 3.0),
         lambda p, rng: {"mean_amplitude": p.mean_amplitude},
         signed=True,
         lag=_amplitude_lag,
     ),
     "asymmetric_lag": Form(
-        "slope", lambda p: 0.03, lambda p: _LIMIT_OF_TAU, signed=True, lag=_asymmetric_lag
+        "slope", lambda p: (0.03, _LIMIT_OF_TAU), signed=True, lag=_asymmetric_lag
     ),
     "flow_dependent_lag": Form(
         "slope",
-        lambda p: 0.05,
-        lambda p: _LIMIT_OF_TAU,
+        lambda p: (0.05, _LIMIT_OF_TAU),
         lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
         signed=True,
         lag=_flow_lag,
@@ -243,56 +237,47 @@ _CATALOGUE: Mapping[str, Form] = {
     ),
     "flow_inertia": Form(
         "length_s",
-        lambda p: 0.01 * p.psi_std,
-        lambda p: 0.5,
+        lambda p: (0.01 * p.psi_std, 0.5),
         signed=True,
         output=lambda p, at, psi: psi - p["length_s"] * at.phi_rate,
     ),
-    "thermocouple_lag": Form(
-        "lag_s", lambda p: 0.2, _longest_thermocouple_lag_s, output=_thermocouple
-    ),
+    "thermocouple_lag": Form("lag_s", _thermocouple_sizes, output=_thermocouple),
     "sensitivity_drift": Form(
         "rate_per_s",
-        lambda p: 0.01 / p.duration_s,
-        lambda p: 1.0 / p.duration_s,
+        lambda p: (0.01 / p.duration_s, 1.0 / p.duration_s),
         signed=True,
         output=lambda p, at, psi: psi * (1.0 + p["rate_per_s"] * at.time_s),
     ),
     "bias_drift": Form(
         "rate_per_s",
-        lambda p: 0.02 * p.psi_std / p.duration_s,
-        lambda p: 5.0 * p.psi_std / p.duration_s,
+        lambda p: (0.02 * p.psi_std / p.duration_s, 5.0 * p.psi_std / p.duration_s),
         signed=True,
         output=lambda p, at, psi: psi + p["rate_per_s"] * at.time_s,
     ),
     "rotating_stall_ripple": Form(
         "amplitude",
-        lambda p: 0.02 * p.psi_std,
-        lambda p: 5.0 * p.psi_std,
+        lambda p: (0.02 * p.psi_std, 5.0 * p.psi_std),
         _draw_ripple,
         output=_ripple,
     ),
 }
 _OTHERS: Mapping[str, Form] = {
-    "nonlinear_relaxation": Form("kappa", lambda p: 0.2 / p.psi_std, lambda p: 50.0 / p.psi_std),
+    "nonlinear_relaxation": Form("kappa", lambda p: (0.2 / p.psi_std, 50.0 / p.psi_std)),
     "second_slow_mode": Form(
         "share",
-        lambda p: 0.05,
-        lambda p: 0.6,
+        lambda p: (0.05, 0.6),
         lambda p, rng: {"slow_tau_s": p.tau_s * rng.uniform(8.0, 15.0)},
     ),
     "speed_dependent_lag": Form(
         "exponent",
-        lambda p: 3.0,
-        lambda p: 60.0,
-        lambda p, rng: {"reference_frac": p.mean_speed},
+        lambda p: (3.0, 60.0),
+        _reference_speed,
         signed=True,
         lag=lambda p, at: _speed_ratio(p, at) ** p["exponent"],
     ),
     "amplitude_memory": Form(
         "slope",
-        lambda p: 0.1,
-        lambda p: 5.0,
+        lambda p: (0.1, 5.0),
         lambda p, rng: {"mean_depth": p.phi_at(0.5) - p.phi_at(0.02), "phi_mean": p.phi_at(0.5)},
         signed=True,
         curve=_memory,
@@ -300,23 +285,21 @@ _OTHERS: Mapping[str, Form] = {
     ),
     "sensor_quadratic": Form(
         "curvature",
-        lambda p: 0.1 / p.psi_std,
-        lambda p: 2.0 / p.psi_std,
-        lambda p, rng: {"centre": float(np.mean(p.quasi_steady(p.all_phi)))},
+        lambda p: (0.1 / p.psi_std, 2.0 / p.psi_std),
+        lambda p, rng: {"centre": p.psi_mean},
         signed=True,
         output=lambda p, at, psi: psi + p["curvature"] * (psi - p["centre"]) ** 2,
     ),
     "sensor_saturation": Form(
         "share",
-        lambda p: 0.2,
-        lambda p: 0.9,
+        lambda p: (0.2, 0.9),
         lambda p, rng: {
-            "knee": float(np.mean(p.quasi_steady(p.all_phi))) + rng.uniform(0.3, 0.8) * p.psi_std,
+            "knee": p.psi_mean + rng.uniform(0.3, 0.8) * p.psi_std,
             "softness": 0.1 * p.psi_std,
         },
         output=_saturating_sensor,
     ),
-    "sensor_backlash": Form("half_width", lambda p: 0.01 * p.psi_std, lambda p: 0.5 * p.psi_std),
+    "sensor_backlash": Form("half_width", lambda p: (0.01 * p.psi_std, 0.5 * p.psi_std)),
 }
 FORMS = {**_CATALOGUE, **_OTHERS}
 EFFECTS, OUTSIDE = tuple(_CATALOGUE), tuple(_OTHERS)

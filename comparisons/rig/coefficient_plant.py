@@ -1,4 +1,7 @@
-"""The compressor of a test at the level of coefficients, and its state at instants of a record."""
+"""The compressor of a test at the level of coefficients, and its state at instants of a record.
+
+Surge is closed formulae: the true φ, T25 and Nc of a test are known at any instant.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,10 @@ from functools import cached_property
 from math import pi
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, hilbert, sosfiltfilt
 
-from comparisons.rig.coefficient_signals import (
-    ChannelSignal,
-    FlowSignal,
-    draw_flows,
-    slow_amplitude,
-)
 from surge_core.types import FloatArray
 
 # What is left at the start of a record of the state it was begun from: exp(-12).
@@ -24,6 +23,124 @@ _RECORD_SPACING = 1.5
 # Range of the time constant.
 _TAU_S = (0.06, 0.20)
 _QUANTILE_POINTS = 2000
+# The amplitude of surge is what varies more slowly than this share of its frequency ...
+_AMPLITUDE_BAND = 0.25
+# ... taken over so many cycles before and after the record that no edge is felt inside it.
+_AMPLITUDE_LEAD_CYCLES = 16
+_POINTS_PER_CYCLE = 64
+# Lowest and highest surge frequency in Hz; each record has its own.
+_SURGE_HZ = (0.8, 1.6)
+# The broadband part: number of its tones, its rms over the amplitude of surge, its highest
+# frequency in Hz.
+_BROADBAND_TONES, _BROADBAND, _BROADBAND_HZ = 16, 0.02, 4.0
+
+
+@dataclass(frozen=True)
+class FlowSignal:
+    """φ(t) of one record: a modulated wave with harmonics, and a small broadband part.
+
+    φ = mean + A a(t) Σ hₖ sin(kθ(t) + pₖ) + Σ bⱼ sin(2πfⱼt + qⱼ), a = 1 + m sin(2πfₘt + pₘ),
+    θ = 2πft + p + w sin(2πf_w t + p_w), with t from the record's own start.
+
+    Parameters
+    ----------
+    origin_s : float
+        Start of the record on the facility clock, in seconds.
+    surge_hz, mean, amplitude : float
+        f in Hz, mean flow and A.
+    phase : float
+        p in rad.
+    modulation, wander : tuple of float
+        (m, fₘ, pₘ) and (w in rad, f_w, p_w).
+    harmonics, tones : ndarray of shape (n, 2), (n, 3)
+        Rows of (hₖ, pₖ), k from 1 on, and of (bⱼ, fⱼ, qⱼ).
+    """
+
+    origin_s: float
+    surge_hz: float
+    mean: float
+    amplitude: float
+    phase: float
+    modulation: tuple[float, float, float]
+    wander: tuple[float, float, float]
+    harmonics: FloatArray
+    tones: FloatArray
+
+    def angle(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return θ in rad and dθ/dt in rad/s at times on the facility clock."""
+        t = time_s - self.origin_s
+        depth, hz, phase = self.wander
+        inner = 2.0 * pi * hz * t + phase
+        angle = 2.0 * pi * self.surge_hz * t + self.phase + depth * np.sin(inner)
+        return angle, 2.0 * pi * (self.surge_hz + depth * hz * np.cos(inner))
+
+    def values(self, time_s: FloatArray) -> FloatArray:
+        """Return φ at times on the facility clock, in seconds."""
+        angle, _ = self.angle(time_s)
+        t = time_s - self.origin_s
+        depth, hz, phase = self.modulation
+        wave = np.zeros_like(t)
+        for k, (size, lag) in enumerate(self.harmonics, start=1):
+            wave += size * np.sin(k * angle + lag)
+        wave *= self.amplitude * (1.0 + depth * np.sin(2.0 * pi * hz * t + phase))
+        for size, tone_hz, lag in self.tones:
+            wave += size * np.sin(2.0 * pi * tone_hz * t + lag)
+        return self.mean + wave
+
+    def rates(self, time_s: FloatArray) -> FloatArray:
+        """Return dφ/dt in 1/s at times on the facility clock, in seconds."""
+        angle, speed = self.angle(time_s)
+        t = time_s - self.origin_s
+        depth, hz, phase = self.modulation
+        wave, wave_rate = np.zeros_like(t), np.zeros_like(t)
+        for k, (size, lag) in enumerate(self.harmonics, start=1):
+            wave += size * np.sin(k * angle + lag)
+            wave_rate += k * size * np.cos(k * angle + lag)
+        inner = 2.0 * pi * hz * t + phase
+        rate: FloatArray = wave_rate * speed * (1.0 + depth * np.sin(inner))
+        rate += wave * depth * 2.0 * pi * hz * np.cos(inner)
+        rate *= self.amplitude
+        for size, tone_hz, lag in self.tones:
+            rate += size * 2.0 * pi * tone_hz * np.cos(2.0 * pi * tone_hz * t + lag)
+        return rate
+
+
+@dataclass(frozen=True)
+class ChannelSignal:
+    """T25 or Nc of one record: level (1 + s sin(2πf_s t + p_s) + c sin(θ + p_c)).
+
+    Parameters
+    ----------
+    flow : FlowSignal
+        The flow whose surge angle θ the channel follows.
+    level : float
+        Mean, in the channel's unit.
+    slow : tuple of float
+        (s, f_s in Hz, p_s in rad), on the facility clock.
+    cyclic : tuple of float
+        (c, p_c in rad).
+    """
+
+    flow: FlowSignal
+    level: float
+    slow: tuple[float, float, float]
+    cyclic: tuple[float, float]
+
+    def values(self, time_s: FloatArray) -> FloatArray:
+        """Return the channel at times on the facility clock, in seconds."""
+        angle, _ = self.flow.angle(time_s)
+        share, hz, phase = self.slow
+        swing, lag = self.cyclic
+        slow = share * np.sin(2.0 * pi * hz * time_s + phase)
+        return np.asarray(self.level * (1.0 + slow + swing * np.sin(angle + lag)))
+
+    def rates(self, time_s: FloatArray) -> FloatArray:
+        """Return the channel's time derivative at times on the facility clock, per second."""
+        angle, speed = self.flow.angle(time_s)
+        share, hz, phase = self.slow
+        swing, lag = self.cyclic
+        slow = share * 2.0 * pi * hz * np.cos(2.0 * pi * hz * time_s + phase)
+        return np.asarray(self.level * (slow + swing * speed * np.cos(angle + lag)))
 
 
 @dataclass(frozen=True)
@@ -78,6 +195,11 @@ class Plant:
         return float(np.std(self.quasi_steady(self.all_phi)))
 
     @cached_property
+    def psi_mean(self) -> float:
+        """Mean of ψ'_QS over all records."""
+        return float(np.mean(self.quasi_steady(self.all_phi)))
+
+    @cached_property
     def mean_speed(self) -> float:
         """Mean Nc over all records: the reference of the droop."""
         return float(np.mean([s.values(s.flow.origin_s + self._clock_s) for s in self.speeds]))
@@ -87,7 +209,7 @@ class Plant:
         """A(t) of every record, from where its integration starts."""
         first = LEAD_TIME_CONSTANTS * self.tau_s
         return tuple(
-            slow_amplitude(f, f.origin_s - first, f.origin_s + self.duration_s) for f in self.flows
+            _slow_amplitude(f, f.origin_s - first, f.origin_s + self.duration_s) for f in self.flows
         )
 
     @cached_property
@@ -162,7 +284,7 @@ def draw_plant(
         # Its top at 1.5 W, as high as the cubic's.
         curve = base + 2.0 * height - 0.9 * height * (powers - 0.5) ** 2
     origins = np.asarray(_RECORD_SPACING * duration_s * np.arange(n_records), dtype=np.float64)
-    flows = draw_flows(rng, origins)
+    flows = _draw_flows(rng, origins)
     temperature_k, speed = rng.uniform(255.0, 300.0), rng.uniform(0.90, 1.0)
     slow_k = (rng.uniform(0.01, 0.02), rng.uniform(0.02, 0.06), rng.uniform(-pi, pi))
     slow_n = (rng.uniform(0.006, 0.012), rng.uniform(0.015, 0.05), rng.uniform(-pi, pi))
@@ -178,3 +300,61 @@ def draw_plant(
         beta=tuple(float(b) for b in curve.convert().coef),
         stall_phi=float(rng.uniform(0.75, 1.15) * width),
     )
+
+
+def _draw_flows(rng: np.random.Generator, origins_s: FloatArray) -> tuple[FlowSignal, ...]:
+    """Draw the flow of each record, begun at these times on the facility clock, in seconds.
+
+    No two surge at the same frequency, amplitude and mean flow.
+    """
+    n = origins_s.size
+    low, high = _SURGE_HZ
+    # One frequency out of each of n equal parts of the range, in any order.
+    shares = (rng.permutation(n) + rng.uniform(0.1, 0.9, n)) / n
+    sizes = np.array([1.0, rng.uniform(0.12, 0.25), rng.uniform(0.03, 0.08)])
+    lags = rng.uniform(-pi, pi, 3)
+    flows = []
+    for origin, share in zip(origins_s, shares, strict=True):
+        amplitude = rng.uniform(0.20, 0.28)
+        # A relaxation wave keeps its shape from record to record but for a little.
+        harmonics = np.column_stack((sizes, lags + rng.uniform(-0.2, 0.2, 3)))
+        modulation = rng.uniform(0.12, 0.22)
+        wander = rng.uniform(0.2, 0.5)
+        tones = np.column_stack(
+            (
+                np.full(_BROADBAND_TONES, np.sqrt(2.0 / _BROADBAND_TONES))
+                * (amplitude * _BROADBAND),
+                rng.uniform(0.2, _BROADBAND_HZ, _BROADBAND_TONES),
+                rng.uniform(-pi, pi, _BROADBAND_TONES),
+            )
+        )
+        flows.append(
+            FlowSignal(
+                origin_s=float(origin),
+                surge_hz=float(low + share * (high - low)),
+                mean=rng.uniform(0.17, 0.25),
+                amplitude=amplitude,
+                phase=rng.uniform(-pi, pi),
+                modulation=(modulation, rng.uniform(0.04, 0.09), rng.uniform(-pi, pi)),
+                wander=(wander, rng.uniform(0.03, 0.08), rng.uniform(-pi, pi)),
+                harmonics=harmonics,
+                tones=tones,
+            )
+        )
+    return tuple(flows)
+
+
+def _slow_amplitude(flow: FlowSignal, first_s: float, last_s: float) -> CubicSpline:
+    """Return the amplitude A(t) of surge over an interval of the facility clock.
+
+    It is the modulus of φ's analytic signal, low-passed without lag at a quarter of the surge
+    frequency. φ is known before and after the interval, so that neither the analytic signal nor the
+    filter feels an edge; from the record alone this can only be approached.
+    """
+    lead_s = _AMPLITUDE_LEAD_CYCLES / flow.surge_hz
+    rate_hz = _POINTS_PER_CYCLE * flow.surge_hz
+    n = next_fast_len(int(np.ceil((last_s - first_s + 2.0 * lead_s) * rate_hz)) + 1)
+    time_s = first_s - lead_s + np.arange(n) / rate_hz
+    modulus = np.abs(hilbert(flow.values(time_s) - flow.mean))
+    low_pass = butter(4, _AMPLITUDE_BAND * flow.surge_hz, fs=rate_hz, output="sos")
+    return CubicSpline(time_s, sosfiltfilt(low_pass, modulus))

@@ -7,7 +7,6 @@ the end of each (rows 0, 1, 2), so that a step may end exactly where a branch of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,25 +22,6 @@ Planted = Mapping[str, Parameters]
 _SERIES_BELOW = 0.5
 _SERIES_TERMS = 14
 _ROOT_STEPS = 4
-
-
-@dataclass(frozen=True)
-class Steps:
-    """The steps of integration over a record; none of them holds the beginning of a branch.
-
-    Parameters
-    ----------
-    at : Points
-        Starts, middles and ends of the m steps, with the φ that acts there.
-    step_s : ndarray of shape (m,)
-        Lengths of the steps.
-    samples : ndarray of int
-        Where the samples are among the ends of the steps, the start of the first counted as 0.
-    """
-
-    at: Points
-    step_s: FloatArray
-    samples: IntArray
 
 
 def run_record(
@@ -76,19 +56,19 @@ def run_record(
     ndarray of shape (n,)
         ψ' at the samples, without noise.
     """
-    steps = lay_steps(plant, record, time_s, planted, substeps)
-    curve = plant.quasi_steady(steps.at.phi)
+    at, step_s, samples = lay_steps(plant, record, time_s, planted, substeps)
+    curve = plant.quasi_steady(at.phi)
     for name, parameters in planted.items():
         change = FORMS[name].curve
         if change is not None:
-            curve = change(parameters, steps.at, curve)
+            curve = change(parameters, at, curve)
     if curve_offset is not None:
-        place = np.clip(np.searchsorted(time_s, steps.at.time_s[1]) - 1, 0, time_s.size - 1)
+        place = np.clip(np.searchsorted(time_s, at.time_s[1]) - 1, 0, time_s.size - 1)
         curve = curve + curve_offset[place]
-    psi = _lagged(steps, np.ascontiguousarray(curve), planted)
+    psi = _lagged(at, step_s, np.ascontiguousarray(curve), planted)
     if "sensor_backlash" in planted:
         psi = backlash(psi, planted["sensor_backlash"]["half_width"])
-    shown = psi[steps.samples]
+    shown = psi[samples]
     flow = plant.flows[record]
     # Sensors see φ before any delay.
     at = Points(plant, record, time_s, flow.values(time_s), flow.rates(time_s))
@@ -101,7 +81,7 @@ def run_record(
 
 def lay_steps(
     plant: Plant, record: int, time_s: FloatArray, planted: Planted, substeps: int
-) -> Steps:
+) -> tuple[Points, FloatArray, IntArray]:
     """Lay the steps of integration over a record, one of them ending at every event.
 
     Parameters
@@ -111,8 +91,13 @@ def lay_steps(
 
     Returns
     -------
-    Steps
-        From twelve of the longest time constants before the first sample to the last one.
+    at : Points
+        Starts, middles and ends of the m steps, with the φ that acts there, from twelve of the
+        longest time constants before the first sample to the last one.
+    step_s : ndarray of shape (m,)
+        Lengths of the steps.
+    samples : ndarray of int
+        Where the samples are among the ends of the steps, the start of the first counted as 0.
     """
     flow = plant.flows[record]
     delay_s = planted.get("transport_delay", {}).get("delay_s", 0.0)
@@ -138,7 +123,7 @@ def lay_steps(
     instants = np.stack((nodes[:-1], middles, nodes[1:]))
     acting_phi = np.stack((phi[:-1], flow.values(middles - delay_s), phi[1:]))
     rate = flow.rates(middles - delay_s)
-    return Steps(Points(plant, record, instants, acting_phi, rate), np.diff(nodes), samples)
+    return Points(plant, record, instants, acting_phi, rate), np.diff(nodes), samples
 
 
 def _crossings(
@@ -161,37 +146,36 @@ def _crossings(
     return root
 
 
-def _lagged(steps: Steps, curve: FloatArray, planted: Planted) -> FloatArray:
+def _lagged(at: Points, step_s: FloatArray, curve: FloatArray, planted: Planted) -> FloatArray:
     """Pass ψ'_QS through the lag, begun from the quasi-steady value."""
-    tau, start = steps.at.plant.tau_s, float(curve[0, 0])
+    tau, start = at.plant.tau_s, float(curve[0, 0])
     if "second_order_lag" in planted:
-        return _second_order(steps, curve, planted["second_order_lag"]["a2_s2"])
-    factors = [f(p, steps.at) for name, p in planted.items() if (f := FORMS[name].lag) is not None]
+        return _second_order(step_s, curve, tau, planted["second_order_lag"]["a2_s2"])
+    factors = [f(p, at) for name, p in planted.items() if (f := FORMS[name].lag) is not None]
     kappa = planted.get("nonlinear_relaxation", {}).get("kappa", 0.0)
     psi: FloatArray
     if factors or kappa:
-        rate_hz = np.ones_like(steps.at.phi) / tau
+        rate_hz = np.ones_like(at.phi) / tau
         for factor in factors:
             rate_hz = rate_hz / factor
-        psi = varying_lag(steps.step_s, curve, rate_hz, kappa, start)
+        psi = _varying_lag(step_s, curve, rate_hz, kappa, start)
     else:
-        psi = constant_lag(steps.step_s, curve, tau, start)
+        psi = constant_lag(step_s, curve, tau, start)
     if "second_slow_mode" in planted:
         share, slow_s = (planted["second_slow_mode"][k] for k in ("share", "slow_tau_s"))
-        psi = (1.0 - share) * psi + share * constant_lag(steps.step_s, curve, slow_s, start)
+        psi = (1.0 - share) * psi + share * constant_lag(step_s, curve, slow_s, start)
     return psi
 
 
-def _second_order(steps: Steps, curve: FloatArray, a2_s2: float) -> FloatArray:
+def _second_order(step_s: FloatArray, curve: FloatArray, tau: float, a2_s2: float) -> FloatArray:
     """Integrate a₂ ψ'' + τ ψ' + ψ = u as the sum of its two modes, which need not be real."""
-    tau = steps.at.plant.tau_s
     start = complex(curve[0, 0])
     spread = np.sqrt(complex(tau**2 - 4.0 * a2_s2))
     slow, fast = 0.5 * (tau + spread), 0.5 * (tau - spread)
     if abs(fast) < np.finfo(np.float64).eps * tau:
-        return np.asarray(constant_lag(steps.step_s, curve, tau, start.real))
-    first = constant_lag(steps.step_s, curve, slow, start)
-    second = constant_lag(steps.step_s, curve, fast, start)
+        return np.asarray(constant_lag(step_s, curve, tau, start.real))
+    first = constant_lag(step_s, curve, slow, start)
+    second = constant_lag(step_s, curve, fast, start)
     return np.asarray(((slow * first - fast * second) / spread).real)
 
 
@@ -255,17 +239,10 @@ def constant_lag(step_s: Any, inputs: Any, tau_s: Any, start: Any) -> Any:
 
 
 @njit(cache=True)
-def varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: float) -> Any:
+def _varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: float) -> Any:
     """Integrate dy/dt = (e + κ e|e|) r(t), e = u − y, by Runge-Kutta steps of fourth order.
 
-    Parameters
-    ----------
-    step_s, inputs, start
-        As in `constant_lag`.
-    rate_hz : ndarray of shape (3, m)
-        r = 1/τ in 1/s at the start, the middle and the end of each step.
-    kappa : float
-        Share of the relaxation that grows with the distance itself; 0: a lag.
+    As `constant_lag`, with r = 1/τ in 1/s at the start, the middle and the end of each step.
     """
     y = np.empty(step_s.size + 1)
     y[0] = start

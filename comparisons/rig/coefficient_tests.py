@@ -7,9 +7,8 @@ a perfect model is noise alone, and an error of a simulation at the sample rate 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -159,7 +158,12 @@ def simulate_test(
         For an unknown effect or noise, fewer than 100 rows, or too few for three gaps.
     """
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
-    _check(names, noise, n_samples)
+    asked = [("effect", name, tuple(FORMS)) for name in names]
+    for what, value, known in (*asked, ("noise", noise, NOISES)):
+        if value not in known:
+            raise InputError(what, expected="one of " + ", ".join(known), found=f"{value!r}")
+    if n_samples < 100:
+        raise InputError("n_samples", expected="at least 100 rows", found=f"{n_samples}")
     plant = draw_plant(
         _stream(seed, "plant"),
         n_records=n_records,
@@ -171,11 +175,11 @@ def simulate_test(
     times = tuple(f.origin_s + clock for f in plant.flows)
     untouched = [run_record(plant, i, t, {}, substeps=_COARSE) for i, t in enumerate(times)]
     sigma = noise_frac * float(np.std(np.concatenate(untouched)))
-    refit = _Refit(plant, times, degree)
+    excess = _excess_of(plant, times, degree)
     planted, strengths = {}, {}
     for name in names:
         planted[name], strengths[name] = _size_effect(
-            refit, name, _stream(seed, name), strength, sigma
+            plant, name, _stream(seed, name), strength, lambda trial: excess(trial) / sigma
         )
     rng = _stream(seed, "noise")
     gap_rng = _stream(seed, "gaps") if gaps else None
@@ -212,82 +216,69 @@ def simulate_test(
     )
 
 
-def _check(names: Sequence[str], noise: str, n_samples: int) -> None:
-    for what, value, known in (
-        *(("effect", name, tuple(FORMS)) for name in names),
-        ("noise", noise, NOISES),
-    ):
-        if value not in known:
-            raise InputError(what, expected="one of " + ", ".join(known), found=f"{value!r}")
-    if n_samples < 100:
-        raise InputError("n_samples", expected="at least 100 rows", found=f"{n_samples}")
-
-
 def _stream(seed: int, purpose: str) -> np.random.Generator:
     """Return a generator that no other purpose shares."""
     return np.random.default_rng([seed, *purpose.encode()])
 
 
-class _Refit:
-    """Output-error fit of τ and of a polynomial characteristic to the noise-free start of a test.
+def _excess_of(
+    plant: Plant, times_s: Sequence[FloatArray], degree: int
+) -> Callable[[Planted], float]:
+    """Return the function that gives the rms of what effects leave after a refit without noise.
 
-    Of the samples of every record the first 60 % of the first two are fitted.
+    It is an output-error fit of τ and of a polynomial characteristic to the first 60 % of the first
+    two records.
     """
+    starts = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
 
-    def __init__(self, plant: Plant, times_s: tuple[FloatArray, ...], degree: int) -> None:
-        self.plant = plant
-        self._degree = degree
-        self._times_s = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
+    laid = [lay_steps(plant, i, t, {}, _COARSE) for i, t in enumerate(starts)]
+    # Steps, powers of φ from the first on, and samples of each record.
+    inputs = [
+        (step_s, [np.ascontiguousarray(at.phi**k) for k in range(1, degree + 1)], samples)
+        for at, step_s, samples in laid
+    ]
 
-    def excess(self, planted: Planted) -> float:
-        """Return the rms of what effects, by name with their parameters, leave after the refit."""
-        runs = [
-            run_record(self.plant, i, t, planted, substeps=_COARSE)
-            for i, t in enumerate(self._times_s)
-        ]
-        psi = np.concatenate(runs)
-        found = minimize_scalar(
-            lambda x: float(np.sum(self._left(psi, np.exp(x)) ** 2)),
-            bounds=np.log(self.plant.tau_s) + np.array([-_LOG_TAU_REACH, _LOG_TAU_REACH]),
-            method="bounded",
-            options={"xatol": _TAU_TOLERANCE},
-        )
-        return float(np.sqrt(np.mean(self._left(psi, float(np.exp(found.x))) ** 2)))
-
-    @cached_property
-    def _inputs(self) -> list[tuple[FloatArray, list[FloatArray], IntArray]]:
-        """Steps, powers of φ from the first on, and samples of each record."""
-        laid = [lay_steps(self.plant, i, t, {}, _COARSE) for i, t in enumerate(self._times_s)]
-        powers = range(1, self._degree + 1)
-        return [
-            (one.step_s, [np.ascontiguousarray(one.at.phi**k) for k in powers], one.samples)
-            for one in laid
-        ]
-
-    def _left(self, psi: FloatArray, tau_s: float) -> FloatArray:
+    def left(psi: FloatArray, tau_s: float) -> FloatArray:
         """Return what the best polynomial leaves at a time constant; a constant needs no lag."""
         columns = [np.ones_like(psi)]
-        for k in range(self._degree):
+        for k in range(degree):
             parts = [
                 constant_lag(step_s, powers[k], tau_s, float(powers[k][0, 0]))[samples]
-                for step_s, powers, samples in self._inputs
+                for step_s, powers, samples in inputs
             ]
             columns.append(np.concatenate(parts))
         orthogonal, _ = np.linalg.qr(np.column_stack(columns))
         return np.asarray(psi - orthogonal @ (orthogonal.T @ psi))
 
+    def excess(planted: Planted) -> float:
+        runs = [run_record(plant, i, t, planted, substeps=_COARSE) for i, t in enumerate(starts)]
+        psi = np.concatenate(runs)
+        found = minimize_scalar(
+            lambda x: float(np.sum(left(psi, np.exp(x)) ** 2)),
+            bounds=np.log(plant.tau_s) + np.array([-_LOG_TAU_REACH, _LOG_TAU_REACH]),
+            method="bounded",
+            options={"xatol": _TAU_TOLERANCE},
+        )
+        return float(np.sqrt(np.mean(left(psi, float(np.exp(found.x))) ** 2)))
+
+    return excess
+
 
 def _size_effect(
-    refit: _Refit, name: str, rng: np.random.Generator, strength: float, sigma: float
+    plant: Plant,
+    name: str,
+    rng: np.random.Generator,
+    strength: float,
+    reached_by: Callable[[Planted], float],
 ) -> tuple[dict[str, float], float]:
-    """Draw an effect and give it a strength: the rms of what is left after the refit, in sigma.
+    """Draw an effect and give it a strength, as a function of what is planted says it.
 
     The strength reached is less than asked only where the effect cannot be made so large.
     """
-    form, plant = FORMS[name], refit.plant
+    form = FORMS[name]
     others = form.draw(plant, rng)
     sign = 1.0 if not form.signed or rng.random() < 0.5 else -1.0
-    limit = form.limit(plant)
+    guess, limit = form.sizes(plant)
 
     def parameters(size: float) -> dict[str, float]:
         return {form.size: sign * size, **others}
@@ -295,9 +286,9 @@ def _size_effect(
     if strength == 0.0:
         return parameters(0.0), 0.0
     # What is left grows nearly in proportion to the size, and always with it.
-    size, low, high = min(form.guess(plant), limit), 0.0, limit
+    size, low, high = min(guess, limit), 0.0, limit
     for _ in range(_MAX_TRIALS):
-        reached = refit.excess({name: parameters(size)}) / sigma
+        reached = reached_by({name: parameters(size)})
         if abs(reached / strength - 1.0) < _SIZE_TOLERANCE:
             break
         if reached < strength:

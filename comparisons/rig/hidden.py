@@ -11,9 +11,11 @@ amplitude stays within a few percent, so that such a lag is one of another lengt
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, TypeAlias
 
 from surge_core.errors import InputError
 
@@ -39,33 +41,6 @@ WAKE_TIME_S = 0.001
 
 
 @dataclass(frozen=True)
-class Alteration:
-    """What differs from the rig as it is described: the size of each effect of `HIDEABLE`.
-
-    The defaults differ in nothing.
-    """
-
-    transport_delay: float = 0.0
-    facility_heating: float = 0.0
-    speed_droop: float = 0.0
-    hysteresis: float = 0.0
-    reverse_flow_branch: float = 1.0
-    characteristic_shape: float = 0.0
-    second_order_lag: float = 0.0
-    asymmetric_lag: float = 0.0
-    flow_dependent_lag: float = 0.0
-    flow_inertia: float = 1.0
-    thermocouple_lag: float = 0.0
-    sensitivity_drift: float = 0.0
-    bias_drift: float = 0.0
-    rotating_stall_ripple: float = 0.0
-    flow_noise: float = 0.0
-
-
-UNTOUCHED = Alteration()
-
-
-@dataclass(frozen=True)
 class Hideable:
     """One effect that can be hidden, and the sizes that it can have.
 
@@ -79,102 +54,38 @@ class Hideable:
         Size without one given.
     unit : str
         Unit of the size.
+    neutral : float
+        Size at which the rig is as it is described.
     """
 
     what: str
     bounds: tuple[float, float]
     default: float
     unit: str = "1"
+    neutral: float = 0.0
 
 
-HIDEABLE: Mapping[str, Hideable] = {
-    "transport_delay": Hideable(
-        "how late the tape records the plane 31 channels, in s",
-        bounds=(0.0, 0.02),
-        default=0.005,
-        unit="s",
-    ),
-    "facility_heating": Hideable(
-        f"share of ψ'_QS lost to heat soak, with a time constant of {HEAT_SOAK_S:g} s",
-        bounds=(0.0, 0.2),
-        default=0.12,
-    ),
-    # In stall only: the table of the unstalled branch knows N_c already. With a power of 1 or
-    # more the 95 % case recovers for good.
-    "speed_droop": Hideable(
-        "power of N_c that ψ'_QS goes with in stall, over "
-        f"{SETTLED_SPEED_FRAC:g} of the initial N_c",
-        bounds=(-3.0, 3.0),
-        default=-2.0,
-    ),
-    "hysteresis": Hideable(
-        f"ψ'_QS lost from φ below {BRANCH_PHIS[0]:g} until φ above {BRANCH_PHIS[1]:g}",
-        bounds=(-0.3, 0.3),
-        default=0.15,
-    ),
-    "reverse_flow_branch": Hideable(
-        "factor on the loss in reversed flow, which acts without the lag",
-        bounds=(0.2, 10.0),
-        default=2.5,
-    ),
-    "characteristic_shape": Hideable(
-        f"height of a bell of width {BUMP_WIDTH_PHI:g} at φ = {BUMP_PHI:g} in ψ'_QS",
-        bounds=(-0.3, 0.3),
-        default=0.2,
-    ),
-    # A plenum in the gas path would not show: φ and ψ' are both measured before it. A cavity
-    # between taps and transducers puts a second pole behind the lag. Laminar flow through a
-    # tube of length l and bore d into a volume V at pressure p: T = 128 μ l V/(π d⁴ p), 5 ms
-    # for 1 m of 1 mm and 1.2 cm³ at 3 bar.
-    "second_order_lag": Hideable(
-        "time in which cavities behind the plane 31 taps fill, in s",
-        bounds=(0.0, 0.02),
-        default=0.005,
-        unit="s",
-    ),
-    "asymmetric_lag": Hideable(
-        "share by which τ is longer while φ rises and shorter while it falls",
-        bounds=(-0.6, 0.6),
-        default=0.3,
-    ),
-    "flow_dependent_lag": Hideable(
-        f"share by which τ is longer at φ below {LOW_FLOW_PHI:g}",
-        bounds=(-0.6, 1.0),
-        default=0.5,
-    ),
-    "flow_inertia": Hideable("stated over true ∫dx/A", bounds=(0.2, 3.0), default=1.5),
-    # A sheathed junction of a millimetre or so in place of the 10 ms of a fine wire.
-    "thermocouple_lag": Hideable(
-        "time constant of the T25 junctions beyond the stated one, in s",
-        bounds=(0.0, 1.0),
-        default=0.2,
-        unit="s",
-    ),
-    # Before the first stall, and at the deepest P31 of a cycle, plane 31 is at 3.5 V of 5: a drift
-    # that goes beyond a quarter, or 1 V, by the end of a record leaves the converter's range.
-    "sensitivity_drift": Hideable(
-        "rate of the plane 31 sensitivity after its calibration, in 1/s",
-        bounds=(-0.1, 0.1),
-        default=0.03,
-        unit="1/s",
-    ),
-    "bias_drift": Hideable(
-        "rate of the plane 31 zero after its reading, in V/s",
-        bounds=(-0.25, 0.25),
-        default=0.02,
-        unit="V/s",
-    ),
-    "rotating_stall_ripple": Hideable(
-        "amplitude of a second cell pattern over that of the first",
-        bounds=(0.0, 1.5),
-        default=0.8,
-    ),
-    "flow_noise": Hideable(
-        "noise of the downstream holes of plane 25 over the pressure difference of the pair",
-        bounds=(0.0, 0.6),
-        default=0.4,
-    ),
-}
+def _hideable() -> dict[str, Hideable]:
+    text = files("comparisons.rig").joinpath("hidden.toml").read_text("utf-8")
+    numbers = {
+        "soak_s": HEAT_SOAK_S,
+        "settled": SETTLED_SPEED_FRAC,
+        "branch": BRANCH_PHIS,
+        "bump": BUMP_PHI,
+        "width": BUMP_WIDTH_PHI,
+        "low_flow": LOW_FLOW_PHI,
+    }
+    found = {}
+    for name, table in tomllib.loads(text).items():
+        low, high = table.pop("bounds")
+        found[name] = Hideable(table.pop("what").format(**numbers), (low, high), **table)
+    return found
+
+
+HIDEABLE: Mapping[str, Hideable] = _hideable()
+# What differs from the rig as it is described: the size of each effect of `HIDEABLE`.
+Alteration: TypeAlias = Mapping[str, float]
+UNTOUCHED: Alteration = {name: kind.neutral for name, kind in HIDEABLE.items()}
 
 
 def hide_effect(name: str | None, size: float | None) -> tuple[Alteration, dict[str, Any]]:
@@ -189,8 +100,8 @@ def hide_effect(name: str | None, size: float | None) -> tuple[Alteration, dict[
 
     Returns
     -------
-    Alteration
-        With the neutral size that of an untouched rig.
+    mapping of str to float
+        The size of every effect; those that are not hidden have their neutral one.
     dict
         Name, size, unit and what the size is; empty where nothing is hidden.
 
@@ -222,4 +133,4 @@ def hide_effect(name: str | None, size: float | None) -> tuple[Alteration, dict[
             found=f"{value:g}",
         )
     truth = {"effect": name, "size": value, "unit": kind.unit, "what": kind.what}
-    return replace(UNTOUCHED, **{name: value}), truth
+    return {**UNTOUCHED, name: value}, truth

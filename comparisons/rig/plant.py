@@ -121,11 +121,7 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
     from comparisons.rig import plant_kernel as kernel
 
     u = case.rotor_velocity_m_s
-    x = (case.corrected_speed_frac - case.stall_speeds[0]) / (
-        case.stall_speeds[1] - case.stall_speeds[0]
-    )
-    phi_s = case.stall_phis[0] + x * (case.stall_phis[1] - case.stall_phis[0])
-    phi = phi_s * case.near_stall_phi_ratio
+    phi = case.stall_point(case.corrected_speed_frac)[0] * case.near_stall_phi_ratio
     # C_z = M sqrt(gamma R T / (1 + 0.2 M²)) solved for M.
     speed2 = (phi * u) ** 2 / (GAMMA * GAS_CONSTANT_J_KG_K * case.supply_temperature_k)
     if not 0.0 < speed2 < 1.0 / 1.2:
@@ -181,9 +177,9 @@ def _constants(case: RigCase, altered: Alteration, flow: float, loss: float) -> 
 
     u = case.rotor_velocity_m_s
     numbers = {name: getattr(case, name) for name in kernel.CASE_FIELDS}
-    numbers |= {name: getattr(altered, name) for name in kernel.ALTERED_FIELDS}
+    numbers |= altered
     numbers |= {
-        "reverse_loss": case.reverse_loss * altered.reverse_flow_branch,
+        "reverse_loss": case.reverse_loss * altered["reverse_flow_branch"],
         "loss": loss,
         "supply_flow": flow,
         "supply_pressure": case.face_pressure_pa + loss * flow**2,

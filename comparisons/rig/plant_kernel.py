@@ -28,9 +28,9 @@ from comparisons.rig.hidden import (
     BUMP_PHI,
     BUMP_WIDTH_PHI,
     HEAT_SOAK_S,
+    HIDEABLE,
     LOW_FLOW_PHI,
     SETTLED_SPEED_FRAC,
-    Alteration,
 )
 from surge_core.types import FloatArray
 
@@ -46,10 +46,9 @@ CASE_FIELDS = tuple(
     for field in fields(RigCase)
     if field.name not in ("name", "t31_limit_k", "segmentation", "window_s")
 )
-ALTERED_FIELDS = tuple(field.name for field in fields(Alteration))
 # A named tuple, which the compiled loop can take apart.
 _named_tuple: Any = namedtuple
-Constants = _named_tuple("Constants", CASE_FIELDS + ALTERED_FIELDS + SIZED_FIELDS)
+Constants = _named_tuple("Constants", (*CASE_FIELDS, *HIDEABLE, *SIZED_FIELDS))
 
 # Positions in the state vector.
 STATES = ("W", "psi_p", "psi", "P31", "T31", "P_in", "T_in", "T_face", "P_ex", "T_ex", "blend",

@@ -8,6 +8,7 @@ from math import pi, tan
 import numpy as np
 from scipy.signal import bilinear, butter, lfilter, lfilter_zi, sosfilt, sosfilt_zi
 
+from comparisons.rig.plant import PLANT_RATE_HZ
 from surge_core.types import FloatArray
 
 # The paper names 12 bits; the range is that of the independent record.
@@ -98,6 +99,11 @@ class SensorSettings:
     leak_lag_s: float = 0.5
     acquisition_limits: bool = True
 
+    @property
+    def step(self) -> int:
+        """Rows of the plant from one sample to the next."""
+        return round(PLANT_RATE_HZ / self.sample_rate_hz)
+
     @classmethod
     def ideal(cls) -> SensorSettings:
         """Return sensors that hide nothing: reduction of their record must give the truth."""
@@ -124,7 +130,11 @@ class SensorSettings:
 
 
 def tube(
-    signal: FloatArray, *, frequency_hz: float | None, damping: float, rate_hz: float
+    signal: FloatArray,
+    *,
+    frequency_hz: float | None,
+    damping: float,
+    rate_hz: float = PLANT_RATE_HZ,
 ) -> FloatArray:
     """Return the pressure behind a tube: a second-order response that starts at rest.
 
@@ -149,7 +159,9 @@ def tube(
     return np.asarray(out, dtype=np.float64)
 
 
-def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatArray:
+def lag(
+    signal: FloatArray, *, time_constant_s: float, rate_hz: float = PLANT_RATE_HZ
+) -> FloatArray:
     """Return a signal behind a first-order lag that starts at rest.
 
     Parameters
@@ -173,7 +185,9 @@ def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatA
     return np.asarray(out, dtype=np.float64)
 
 
-def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -> FloatArray:
+def anti_alias(
+    signal: FloatArray, *, corner_hz: float | None, rate_hz: float = PLANT_RATE_HZ
+) -> FloatArray:
     """Return a signal behind a causal fourth-order Butterworth low-pass that starts at rest.
 
     Parameters
@@ -193,7 +207,11 @@ def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -
 
 
 def rake_temperature_k(
-    plane: int, gas_temperature_k: FloatArray, settings: SensorSettings, *, rate_hz: float
+    plane: int,
+    gas_temperature_k: FloatArray,
+    settings: SensorSettings,
+    *,
+    rate_hz: float = PLANT_RATE_HZ,
 ) -> FloatArray:
     """Return the temperature of the transducers in a cooled rake, in K.
 

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from classic_ml.records import LedgerEntry, Record
-from comparisons.rig.cases import RigCase, find_case
+from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
-from comparisons.rig.hidden import BUMP_PHI, BUMP_WIDTH_PHI, Alteration, hide_effect
+from comparisons.rig.hidden import BUMP_PHI, BUMP_WIDTH_PHI, hide_effect
 from comparisons.rig.instrument import (
-    NEAR_STALL_S,
     RAW_RATE_HZ,
-    Instrumented,
+    Instruments,
     corrected_plane_flow_kg_s,
     instrument,
-    read_near_stall,
 )
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
@@ -94,7 +92,11 @@ def simulate(
         When the case or the effect is unknown, the duration or size is unusable, or the altered
         plant does not stay finite.
     """
-    plant = find_case(case)
+    plant = case if isinstance(case, RigCase) else CASES.get(case)
+    if plant is None:
+        raise InputError(
+            "case", expected="one of " + ", ".join(CASES), found=f"{case!r}", remedy="name one"
+        )
     settings = SensorSettings() if sensors is None else sensors
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
         raise InputError(
@@ -107,7 +109,6 @@ def simulate(
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
     run = run_plant(plant, n_rows=n_rows, altered=altered)
     rng = np.random.default_rng(seed)
-    near_stall = read_near_stall(run, settings, rng)
     chain = instrument(plant, run, settings, rng, altered)
     source = f"simulated rig, case {plant.name}, seed {seed}"
     did = LedgerEntry(
@@ -121,11 +122,10 @@ def simulate(
         source=source,
     ).after(did)
     truth = _truth(plant, run, source + ", truth").after(did)
-    parameters = _truth_table(plant, settings, int(seed), chain, truth)
-    parameters["quasi_steady"] = _in_stall_curve(plant, altered)
+    parameters = _truth_table(chain, int(seed), truth)
     if hidden:
         parameters["hidden"] = hidden
-    return RigRun(raw, _test_table(plant, settings, near_stall, chain, altered), truth, parameters)
+    return RigRun(raw, _test_table(chain), truth, parameters)
 
 
 def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
@@ -164,18 +164,11 @@ def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
     )
 
 
-def _test_table(
-    case: RigCase,
-    settings: SensorSettings,
-    near_stall: Mapping[str, float],
-    chain: Instrumented,
-    altered: Alteration,
-) -> dict[str, Any]:
+def _test_table(chain: Instruments) -> dict[str, Any]:
     """Return what ``test.toml`` holds, in the order of the file."""
-    inertia = case.inertia_per_m
-    if altered.flow_inertia != 1.0:
-        # All digits of the product would give the factor away.
-        inertia = float(f"{inertia * altered.flow_inertia:.5g}")
+    case, settings, factor = chain.case, chain.settings, chain.altered["flow_inertia"]
+    # All digits of the product would give the factor away.
+    inertia = case.inertia_per_m if factor == 1.0 else float(f"{case.inertia_per_m * factor:.5g}")
     table: dict[str, Any] = {
         "test": {
             "name": f"simulated rig, case {case.name}",
@@ -199,11 +192,7 @@ def _test_table(
             "low_V": ADC_LOW_V,
             "high_V": ADC_HIGH_V,
         },
-        "near_stall": {
-            "from_s": NEAR_STALL_S[0],
-            "to_s": NEAR_STALL_S[1],
-            **near_stall,
-        },
+        "near_stall": dict(chain.near_stall),
         "segmentation": {
             "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation
         },
@@ -216,13 +205,14 @@ def _test_table(
     return table
 
 
-def _truth_table(
-    case: RigCase, settings: SensorSettings, seed: int, chain: Instrumented, truth: Record
-) -> dict[str, Any]:
+def _truth_table(chain: Instruments, seed: int, truth: Record) -> dict[str, Any]:
     """Return the parameters behind a run; everything that must not reach a reduction."""
-    stalled = truth["in_stall"] > 0.0
-    onsets = np.flatnonzero(np.diff(stalled.astype(np.int64)) > 0) + 1
-    recoveries = np.flatnonzero(np.diff(stalled.astype(np.int64)) < 0) + 1
+    case = chain.case
+    stalled = (truth["in_stall"] > 0.0).astype(np.int64)
+    turns = np.diff(stalled, prepend=stalled[0])
+    phi = np.linspace(-0.05, case.recovery_phi, 81)
+    bump = np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
+    psi_p = case.in_stall_psi_p(phi) + chain.altered["characteristic_shape"] * bump
     return {
         "tau_s": case.tau_s,
         "beta": list(case.pressure_terms),
@@ -232,21 +222,13 @@ def _truth_table(
         "psi_breaks": list(case.work_breaks),
         "rotor_velocity_m_s": case.rotor_velocity_m_s,
         "seed": seed,
-        "stall_times_s": [float(t) for t in truth.time_s[onsets]],
-        "recovery_times_s": [float(t) for t in truth.time_s[recoveries]],
+        "stall_times_s": truth.time_s[np.flatnonzero(turns > 0)].tolist(),
+        "recovery_times_s": truth.time_s[np.flatnonzero(turns < 0)].tolist(),
         "case": asdict(case),
-        "sensor_settings": asdict(settings),
+        "sensor_settings": asdict(chain.settings),
         "sensors": {name: dict(entry) for name, entry in chain.truth.items()},
+        "quasi_steady": {"phi": phi.tolist(), "psi_p": psi_p.tolist()},
     }
-
-
-def _in_stall_curve(case: RigCase, altered: Alteration) -> dict[str, list[float]]:
-    """Return the in-stall characteristic as a table, up to the flow of recovery."""
-    phi = np.linspace(-0.05, case.recovery_phi, 81)
-    psi_p = np.polynomial.polynomial.polyval(phi, [*case.pressure_terms, case.pressure_cubic])
-    psi_p += case.pressure_kink * np.maximum(phi - case.kink_phi, 0.0)
-    psi_p += altered.characteristic_shape * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
-    return {"phi": phi.tolist(), "psi_p": psi_p.tolist()}
 
 
 def write_run(run: RigRun, folder: str | Path) -> None:

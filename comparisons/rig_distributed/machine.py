@@ -1,13 +1,41 @@
-"""One machine with its ducts: the numbers, and how one is drawn at random."""
+"""One machine with its ducts: the numbers, and how one is drawn at random (machine.toml).
+
+Characteristic and stall cell are those of Moore and Greitzer. Round the annulus the flow
+coefficient is φ(θ) = Φ + A sin(θ − ωt), and each part of it sees their
+cubic (J. Eng. Gas Turbines Power 108, 1986, p. 68),
+
+    ψ'(φ) = ψ'_0 + H [1 + 3/2 y − 1/2 y³],  y = (φ − φ_0)/W − 1.
+
+The cell covers a share κ of the span, at the tip. Averaged over annulus and span, with
+J = (A/W)², the pressure coefficient that the blading tends to is
+
+    ψ'_QS(Φ, J) = ψ'_0 + H [1 + 3/2 y (1 − κ J/2) − 1/2 y³],
+
+and one Galerkin mode gives the amplitude (theirs, with a small steady distortion ε besides):
+
+    dA/dt = g/2 [A (1 − y² − J/4) + ε W],  g = (U/r) 3 a H/2 / ((1 + m a) W),
+
+whose equilibrium in stall is J = 4 (1 − y²). The averaged blading follows with the lag of Greitzer
+(J. Eng. Power 98, 1976, p. 190; Eq 6 of the paper):
+
+    τ dψ'/dt + ψ' = ψ'_QS(Φ, J).
+
+**The true τ is that of this lag.** The true in-stall characteristic is ψ'_QS with J at its
+equilibrium; that the amplitude takes 2/g, some milliseconds, to grow e times is physics on top,
+which the lag model does not have. In reversed flow the blading loses k Φ² besides, without a lag.
+"""
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 from math import exp, log, pi
 
 import numpy as np
 
 from comparisons.rig_distributed.gas import CP
+from surge_core.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -97,6 +125,24 @@ class Machine:
         return self.valley + 2.0 * self.span
 
     @property
+    def growth_per_s(self) -> float:
+        """Growth g of the cell; H in ψ' is twice that of Moore and Greitzer's Ψ = Δp/ρU²."""
+        slope = 1.5 * self.blade_lag * self.rise / self.span
+        return self.rotation_per_s * slope / (1.0 + self.outer_lag * self.blade_lag)
+
+    def cell_amplitude(self, phi: FloatArray) -> FloatArray:
+        """Return the amplitude of the cell in equilibrium, 2 W √(1 − y²), zero outside of stall."""
+        y = (phi - self.valley) / self.span - 1.0
+        return np.asarray(2.0 * self.span * np.sqrt(np.maximum(1.0 - y * y, 0.0)))
+
+    def steady_psi_p(self, phi: FloatArray) -> FloatArray:
+        """Return ψ'_QS with the cell in equilibrium: in stall the true in-stall characteristic."""
+        y = (phi - self.valley) / self.span - 1.0
+        j = (self.cell_amplitude(phi) / self.span) ** 2
+        part = 1.0 + 1.5 * y * (1.0 - 0.5 * self.cell_share * j) - 0.5 * y**3
+        return np.asarray(self.level + self.rise * part)
+
+    @property
     def rotation_per_s(self) -> float:
         """Angular velocity of the rotor."""
         return self.rotor_velocity_m_s / self.mean_radius_m
@@ -119,53 +165,14 @@ def draw(rng: np.random.Generator) -> Machine:
     rng : numpy.random.Generator
         Source of randomness.
     """
-
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    def spread(low: float, high: float) -> float:
-        return exp(between(log(low), log(high)))
-
-    velocity = between(250.0, 340.0)
-    level, rise, span = between(0.9, 1.4), between(0.7, 1.1), between(0.12, 0.18)
-    peak = level + 2.0 * rise
-    valley = between(-0.02, 0.02)
-    work_peak = peak / between(0.80, 0.88)
-    work_slope = between(3.0, 7.0)
-    inlet = between(0.15, 0.30)
-    return Machine(
-        rotor_velocity_m_s=velocity,
-        mean_radius_m=between(0.20, 0.30),
-        design_speed_ratio=between(0.70, 0.90),
-        level=level,
-        rise=rise,
-        valley=valley,
-        span=span,
-        cell_share=between(0.0, 0.25),
-        blade_lag=spread(0.08, 0.30),
-        outer_lag=between(1.5, 2.0),
-        distortion=between(0.01, 0.03),
-        tau_s=between(0.010, 0.030),
-        reverse_loss=spread(300.0, 2000.0),
-        work_zero=work_peak + work_slope * (valley + 2.0 * span),
-        work_slope=work_slope,
-        transfer_units=between(0.5, 1.5),
-        supply_pa=between(85_000.0, 100_000.0),
-        supply_k=between(260.0, 300.0),
-        inlet_area_m2=inlet,
-        exit_area_m2=inlet * between(0.35, 0.50),
-        plenum_area_m2=inlet * between(1.2, 2.2),
-        inlet_m=between(1.0, 3.0),
-        compressor_m=between(1.0, 1.8),
-        cone_m=between(0.5, 1.0),
-        plenum_m=between(1.0, 2.0),
-        inlet_loss=between(0.5, 3.0),
-        start_phi=between(1.04, 1.10),
-        close_per_s=between(0.3, 0.7),
-        after_stall=between(0.55, 0.75),
-        after_lag_s=between(0.1, 0.4),
-        cell_turn=between(0.35, 0.65),
-        cell_reach=exp(-between(0.5, 1.5)),
-        cell_frac_hub=between(0.3, 0.7),
-        hub_tip=between(0.02, 0.045),
-    )
+    text = files("comparisons.rig_distributed").joinpath("machine.toml").read_text("utf-8")
+    drawn = {
+        name: exp(rng.uniform(log(low), log(high))) if law else float(rng.uniform(low, high))
+        for name, (low, high, *law) in tomllib.loads(text).items()
+    }
+    for area in ("exit_area_m2", "plenum_area_m2"):
+        drawn[area] *= drawn["inlet_area_m2"]
+    drawn["cell_reach"] = exp(-drawn["cell_reach"])
+    work_peak = (drawn["level"] + 2.0 * drawn["rise"]) / drawn.pop("efficiency")
+    peak_phi = drawn["valley"] + 2.0 * drawn["span"]
+    return Machine(**drawn, work_zero=work_peak + drawn["work_slope"] * peak_phi)

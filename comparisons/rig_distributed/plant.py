@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from comparisons.rig_distributed.characteristic import growth_per_s, steady_psi_p
 from comparisons.rig_distributed.gas import CP, GAMMA, R
 from comparisons.rig_distributed.machine import Machine
 from surge_core.errors import InputError
@@ -124,7 +123,7 @@ def steady_flow(machine: Machine, path: GasPath) -> tuple[FloatArray, FloatArray
     the area of the throttle that passes the flow; total temperature behind the compressor.
     """
     phi = machine.start_phi * machine.peak_phi
-    psi_p = float(steady_psi_p(machine, np.array(phi)))
+    psi_p = float(machine.steady_psi_p(np.array(phi)))
     psi = machine.work_zero - machine.work_slope * phi
     static_k = machine.supply_k - (phi * machine.rotor_velocity_m_s) ** 2 / (2.0 * CP)
     velocity = phi * machine.rotor_velocity_m_s
@@ -165,7 +164,7 @@ def constants(machine: Machine, path: GasPath, throttle_m2: float, exit_k: float
         n_compressor=path.n_compressor,
         back_cell=path.planes[1],
         cell_m=path.cell_m,
-        growth=growth_per_s(machine),
+        growth=machine.growth_per_s,
         exit_k=exit_k,
         back_pa=_BACK_PA,
         throttle_m2=throttle_m2,

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.rig_distributed.characteristic import steady_psi_p
 from comparisons.rig_distributed.gas import GAMMA, R
 from comparisons.rig_distributed.instruments import Instruments, draw_instruments
 from comparisons.rig_distributed.machine import Machine, draw
@@ -162,13 +161,8 @@ def _truth(machine: Machine, run: PlantRun, fitted: Instruments) -> dict[str, Fl
     """Return the plant's signals at the record's rate, named as in the files of the format."""
     corrected = run["W25"] * np.sqrt(run["T25"] / _STANDARD_K) * _STANDARD_PA / run["P25"]
     speed = machine.design_speed_ratio * np.sqrt(machine.supply_k / run["T25"])
-    columns = {
-        "phi": run["phi"],
-        "psi_p": run["psi_p"],
-        "psi": run["psi"],
-        "psi_p_lagged": run["psi_p_lagged"],
-        "psi_p_qs": run["psi_p_qs"],
-        "psi_qs": run["psi_qs"],
+    same = ("phi", "psi_p", "psi", "psi_p_lagged", "psi_p_qs", "psi_qs")
+    columns = {name: run[name] for name in same} | {
         "W25_kg_s": run["W25"],
         "dW25_kg_s2": np.gradient(run["W25"], 1.0 / PLANT_HZ),
         "W31_kg_s": run["W31"],
@@ -237,7 +231,7 @@ def _parameters(
         "rotor_velocity_m_s": machine.rotor_velocity_m_s,
         "stall_times_s": (np.flatnonzero(change > 0) + 1).astype(float) / fitted.rate_hz,
         "recovery_times_s": (np.flatnonzero(change < 0) + 1).astype(float) / fitted.rate_hz,
-        "quasi_steady": {"phi": phi, "psi_p": steady_psi_p(machine, phi)},
+        "quasi_steady": {"phi": phi, "psi_p": machine.steady_psi_p(phi)},
         "machine": asdict(machine),
         "instruments": asdict(fitted),
         "sensors": channels.truth,

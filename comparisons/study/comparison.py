@@ -243,12 +243,9 @@ def compare_scores(
         Results, one row a cell.
     scores : sequence of Score or str
         What is compared.
-    reference : str, optional
-        Method that the others are compared with; the best without it.
-    by : sequence of str
-        Axes; each combination of their values is a group of its own, after that of all cells.
-    margin : float
-        Share of the reference's loss within which a difference does not matter.
+    reference, by, margin
+        As in `compare_methods`; the groups by axes come after that of all cells, and are compared
+        with the same reference.
 
     Returns
     -------
@@ -258,9 +255,8 @@ def compare_scores(
     found = []
     for score in scores:
         whole = compare_methods(table, score, reference, margin=margin)
-        split: tuple[GroupComparison, ...] = ()
-        if by:
-            split = compare_methods(table, score, whole[0].reference, by, margin)
+        against = whole[0].reference
+        split = compare_methods(table, score, against, by, margin) if by else ()
         found.append((*whole, *split))
     return found
 
@@ -283,14 +279,15 @@ def jackknife(
     Returns
     -------
     mean, stderr : float
-        The error is NaN with one record.
+        The error is NaN with one record, both are without a value.
     """
-    _, cluster = np.unique(record, return_inverse=True)
-    counts = np.bincount(cluster).astype(np.float64)
+    if not values.size:
+        return math.nan, math.nan
+    _, cluster, counts = np.unique(record, return_inverse=True, return_counts=True)
     columns = values.reshape(values.shape[0], -1)
     sums = np.stack([np.bincount(cluster, weights=column) for column in columns.T], axis=1)
 
-    def measured(total: FloatArray, count: FloatArray) -> FloatArray:
+    def measured(total: FloatArray, count: IntArray) -> FloatArray:
         means = total / count[..., None]
         if target is None:
             return means[..., 0]
@@ -356,11 +353,11 @@ def _compared(
     rows = []
     for name, part in parts.items():
         scored = part.dropna(subset="_value")
-        draw = scored["_draw"].to_numpy()
-        mean, error = _mean_of(scored["_value"], draw)
+        values, losses, draw = (scored[n].to_numpy() for n in ("_value", "_loss", "_draw"))
+        mean, error = jackknife(values, draw)
         loss = (abs(mean - score.target), error)
         if score.better != "target":
-            loss = _mean_of(scored["_loss"], draw)
+            loss = jackknife(losses, draw)
         doubts = "; ".join(_doubts(part, against[name]))
         failed = int((part["state"] == FAILED).sum())
         rows.append(
@@ -391,14 +388,6 @@ def _paired(part: pd.DataFrame, right: pd.DataFrame, score: Score) -> Paired:
         values = both[["_value", "_value_right"]].to_numpy()
         return Paired(*counts, *jackknife(values, draw, score.target))
     return Paired(*counts, *jackknife((both["_loss"] - both["_loss_right"]).to_numpy(), draw))
-
-
-def _mean_of(values: pd.Series[float], draw: IntArray) -> tuple[float, float]:
-    return (
-        jackknife(np.asarray(values, dtype=np.float64), draw)
-        if len(values)
-        else (math.nan, math.nan)
-    )
 
 
 def _ranks(against: dict[str, Paired], size: float) -> dict[str, int]:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
+from classic_ml.series import CoefficientSeries
 from comparisons.harness.methods import OwnMethod
 from comparisons.study.design import Cell, Point, cells_of, tasks_of
-from comparisons.study.methods import scores_of
 from comparisons.study.scores import NUMBERS
 from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
-from comparisons.study.spec import StudySpec
+from comparisons.study.spec import Method, StudySpec
 from surge_core.errors import InputError
 from surge_core.files import replace_whole, write_whole
 from surge_core.threads import one_thread
@@ -31,6 +31,8 @@ RESULTS, FINISHED = "results.parquet", "cells.jsonl"
 # Workers of a cluster to reckon with: their number may change while it works.
 CLUSTER = 16
 CONNECT_S = 10.0
+CURVE_POINTS = 50
+NAN = float("nan")
 
 Row = dict[str, Any]
 
@@ -197,13 +199,68 @@ def _row(cell: Cell, record: Callable[[Point], Made], series: Callable[[Point], 
     try:
         reduced = series(_only(point, "record", "reduction"))
         made = record(_only(point, "record"))
-        found = scores_of(cell.method, reduced, made, FIT_DEFAULTS | point.table("fit"))
+        found = _scores(cell.method, reduced, made, FIT_DEFAULTS | point.table("fit"))
     except Exception as error:
         # A cell that fails is a row, not a stopped study.
         text = " ".join(str(error).splitlines()[:1])
         named = text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
         found = {"state": "failed", "reason": named}
     return {"key": cell.key, "seconds": time.perf_counter() - begun, **found}
+
+
+def _scores(
+    method: Method,
+    records: Sequence[CoefficientSeries],
+    made: Made,
+    fit: dict[str, Any],
+) -> dict[str, Any]:
+    """Fit one method with a degree and a hold, and return its state, reason and scores by name."""
+    own = OwnMethod(method.import_path, method.name, method.parameters)
+    if method.import_path:
+        naming = own.naming()
+        if naming is not None:
+            names = tuple(naming(records))
+            wrong = [name for name in names if name not in made.effects]
+            counts = {"firm_names": float(len(names)), "false_names": float(len(wrong))}
+            return {"state": "ok", "reason": ", ".join(names), **counts}
+
+    from comparisons.harness.compare import compare_records
+    from comparisons.harness.estimators import default_estimators
+
+    if method.import_path:
+        spec = own.spec()
+    else:
+        spec = {each.name: each for each in default_estimators(**fit)}[method.name]
+    comparison = compare_records(records, estimators=[spec], **fit)
+    result = comparison.results[0]
+    model = result.model
+    out: dict[str, Any] = {
+        "state": "ok" if result.state == "converged" else result.state,
+        "reason": "" if result.state == "converged" else result.advice,
+        "scored": result.rows.kind,
+        "tau_ms": 1e3 * model.time_constant_s,
+        "tau_stderr_ms": 1e3 * model.time_constant_stderr_s,
+        "free_run_rms": result.free_run.rms,
+        "free_run_percent": result.free_run.fit_percent,
+        "one_step_rms": result.one_step.rms,
+        "held_out_rms": NAN if result.held_out is None else result.held_out.rms,
+        "held_out_percent": NAN if result.held_out is None else result.held_out.fit_percent,
+        "n_terms": float(len(model.terms)) if model.terms else NAN,
+    }
+    if np.isfinite(made.tau_s) and result.has_tau:
+        low, high = model.ci95_s
+        out["tau_error_ms"] = 1e3 * (model.time_constant_s - made.tau_s)
+        # What a fit says is not to be used states no interval either.
+        stated = result.state in ("converged", "two_readings")
+        if stated and np.isfinite(low) and np.isfinite(high):
+            out["tau_covered"] = float(low <= made.tau_s <= high)
+    # Where this method scored φ, as far as the truth is known there.
+    low, high = np.clip(model.valid_phi, *made.known_phi)
+    if low < high and made.curve is not None and result.has_curve and result.states_curve:
+        phi = np.linspace(low, high, CURVE_POINTS)
+        error = model.quasi_steady(phi) - made.curve(phi)
+        out["curve_rms_error"] = float(np.sqrt(np.mean(error**2)))
+    return out
 
 
 def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from classic_ml.description import TestDescription
     from classic_ml.records import Record
 
-DEFAULT_DURATION_S = 20.0
-DEFAULT_PERIOD_S = 0.01
-DEFAULT_PERCENT = 1.0
-DEFAULT_CASE = "985"
 FIT_DEFAULTS: dict[str, Scalar] = {"degree": 2, "hold": "first"}
 
 
@@ -74,13 +70,13 @@ def make_record(point: Point) -> Made:
     InputError
         When the settings do not make a record.
     """
-    makers = {
+    makers: dict[str, Callable[..., Made]] = {
         "coefficients": _coefficients,
         "rig": _rig,
         "machines": _machine,
         "files": _files,
     }
-    return makers[point.source](point.seed, point.table("record"))
+    return makers[point.source](point.seed, **point.table("record"))
 
 
 def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
@@ -106,20 +102,23 @@ def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
     return made.series
 
 
-def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
+def _coefficients(
+    seed: int,
+    *,
+    sample_period_s: float = 0.01,
+    duration_s: float = 20.0,
+    noise_percent: float = 1.0,
+    hide: str | None = None,
+    **settings: Any,
+) -> Made:
     from comparisons.rig.coefficient_tests import simulate_test
 
-    settings: dict[str, Any] = dict(given)
-    period_s = float(settings.pop("sample_period_s", DEFAULT_PERIOD_S))
-    n = round(float(settings.pop("duration_s", DEFAULT_DURATION_S)) / period_s)
-    percent = float(settings.pop("noise_percent", DEFAULT_PERCENT))
-    hidden = settings.pop("hide", None)
     test = simulate_test(
-        hidden,
+        hide,
         seed=seed,
-        n_samples=n,
-        sample_period_s=period_s,
-        noise_frac=percent / 100.0,
+        n_samples=round(duration_s / sample_period_s),
+        sample_period_s=sample_period_s,
+        noise_frac=noise_percent / 100.0,
         **settings,
     )
     series = tuple(
@@ -138,37 +137,37 @@ def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
     return Made(series, None, test.tau_s, partial(polyval, c=test.beta))
 
 
-def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
+def _through_files(write: Callable[[Path], object]) -> tuple[Any, dict[str, Any]]:
+    """Return a raw record as a user's comes, nothing but counts and description, and its truth."""
     from classic_ml.io import read_raw
-    from comparisons.rig import SensorSettings, simulate, write_run
-    from comparisons.rig.cases import find_case
-
-    settings: dict[str, Any] = dict(given)
-    sensors = SensorSettings()
-    if "noise_percent" in settings:
-        percent = settings.pop("noise_percent")
-        sensors = SensorSettings(noise_percent=percent, reading_noise_percent=percent)
-    case = find_case(settings.pop("case", DEFAULT_CASE))
-    run = simulate(case, seed=seed, sensors=sensors, **settings)
-    # Through the files, as a user's record comes: nothing but counts and description is passed on.
-    with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder) / "run"
-        write_run(run, kept)
-        raw = read_raw(kept / "raw.csv", kept / "test.toml")
-    return Made((), raw, case.tau_s, partial(polyval, c=case.pressure_terms))
-
-
-def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
-    from classic_ml.io import read_raw
-    from comparisons.study.rigs import draw_of
 
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "record"
-        draw_of(str(given["rig"]))(seed, kept)
+        write(kept)
         # The truth is set apart before anything reads the record, and goes to the scores alone.
         truth = read_toml(kept / "truth" / "truth.toml", "the truth of a record")
         shutil.rmtree(kept / "truth")
-        raw = read_raw(kept / "raw.csv", kept / "test.toml")
+        return read_raw(kept / "raw.csv", kept / "test.toml"), truth
+
+
+def _rig(
+    seed: int, *, case: str = "985", noise_percent: float | None = None, **settings: Any
+) -> Made:
+    from comparisons.rig import CASES, SensorSettings, simulate, write_run
+
+    sensors = SensorSettings()
+    if noise_percent is not None:
+        sensors = replace(sensors, noise_percent=noise_percent, reading_noise_percent=noise_percent)
+    run = simulate(case, seed=seed, sensors=sensors, **settings)
+    raw, _ = _through_files(partial(write_run, run))
+    machine = CASES[case]
+    return Made((), raw, machine.tau_s, partial(polyval, c=machine.pressure_terms))
+
+
+def _machine(seed: int, *, rig: str) -> Made:
+    from comparisons.study.rigs import draw_of
+
+    raw, truth = _through_files(partial(draw_of(rig), seed))
     table, beta = truth.get("quasi_steady"), truth.get("beta", ())
     curve: Callable[[FloatArray], Any] | None = None
     known_phi = (-math.inf, math.inf)
@@ -186,10 +185,10 @@ def _machine(seed: int, given: Mapping[str, Scalar]) -> Made:
     return Made((), raw, float(truth["tau_s"]), curve, known_phi, effects)
 
 
-def _files(_: int, given: Mapping[str, Scalar]) -> Made:
+def _files(_: int, *, path: str) -> Made:
     from classic_ml.io import read_raw
 
-    path = Path(str(given["path"]))
-    if path.is_dir():
-        return Made((), read_raw(path / "raw.csv", path / "test.toml"), math.nan)
-    return Made((read_series(path),), None, math.nan)
+    place = Path(path)
+    if place.is_dir():
+        return Made((), read_raw(place / "raw.csv", place / "test.toml"), math.nan)
+    return Made((read_series(place),), None, math.nan)

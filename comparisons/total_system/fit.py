@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import block_diag, csr_array, hstack
 
-from comparisons.total_system import kernel
 from comparisons.total_system.fitted import (
     ALIGNED,
     MULTIPLE,
@@ -20,7 +19,12 @@ from comparisons.total_system.fitted import (
     TotalSystemState,
 )
 from comparisons.total_system.measured import Measured, first_reversal_s, observed_states
-from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSystemModel
+from comparisons.total_system.model import (
+    COLUMNS,
+    STEPS_PER_SECOND,
+    TotalSystemModel,
+    integrate,
+)
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -198,9 +202,7 @@ class _Runs:
             begin, latches = self.states[rows.start].copy(), self.latches[rows]
             begin[_NODE_STATES[: node.size]] += scale[: node.size] * node
             first_s, n = float(measured.time_s[rows.start]), rows.stop - rows.start
-            run = kernel.integrate(
-                c, begin, latches[0], first_s, n, measured.period_s, substeps, latches
-            )
+            run = integrate(c, begin, latches[0], first_s, n, measured.period_s, substeps, latches)
             runs.append(run[:, _FITTED])
         return runs
 

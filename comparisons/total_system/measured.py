@@ -13,8 +13,7 @@ from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
-from comparisons.total_system import kernel
-from comparisons.total_system.model import TotalSystemModel
+from comparisons.total_system.model import TotalSystemModel, latches_of, observe
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -192,7 +191,7 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
     p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
     first, period_s = float(measured.time_s[0]), measured.period_s
-    latches = kernel.latches(c, phi, t25, first, period_s)
+    latches = latches_of(c, phi, t25, first, period_s)
     columns = np.column_stack([flow, lagged, p31, p_in, t25])
-    states = kernel.observe(c, columns, latches, first, period_s, model.near_stall_state())
+    states = observe(c, columns, latches, first, period_s, model.near_stall_state())
     return states, latches

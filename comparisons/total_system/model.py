@@ -12,28 +12,327 @@ Reference 6.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
+from math import exp, sqrt
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from classic_ml.description import TestDescription
 from classic_ml.flow import T_STANDARD_K
 from comparisons.total_system.facility import Facility
-from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, integrate, orifice
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-# In the order of the compiled loops.
+# Names and positions in the state vector and, behind it, in an output row.
 STATES = ("W25", "psi_p_lagged", "psi", "P31", "T31", "P_in", "T_in", "P_ex", "T_ex", "T_coil",
           "T25")  # fmt: skip
 COLUMNS = (*STATES, "P25", "phi", "W31", "W_throttle", "W_exhaust", "W_supply")
+N_STATES, N_COLUMNS = len(STATES), len(COLUMNS)
+W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(N_STATES)
+P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(N_STATES, N_COLUMNS)
+# States that are read off a record; the others follow from the balances.
+MEASURED = (W, PSI_P, P31, P_IN, T_FACE)
+# Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
+STALLED, ARMED, SINCE, FROM = range(4)
+
 # A linear rise of the pressure from plane 25 to plane 31 puts half of P31 on the stored gas.
 _STORAGE_SHARE = 0.5
 # The fastest of the model is the loss in reversed flow. Against steps a fifth as long, five a
 # millisecond change P31 and W25 by 1e-4 of their swing; half as many miss P25 in the blowdown by a
 # third of its swing.
 STEPS_PER_SECOND = 5_000.0
+# Newton on Eq 3 from below doubles its digits each time; flows here are subsonic.
+_NEWTON_STEPS = 12
+_LARGEST_SHARE_OF_CHOKE = 0.999
+
+# The facility's numbers as table and key of its file, and what the model adds to them.
+FACILITY_FIELDS = tuple(
+    f"{table}_{key}"
+    for table, field in Facility.model_fields.items()
+    for key in field.annotation.model_fields  # type: ignore[union-attr]
+)
+MODEL_FIELDS = (
+    "beta1", "beta2", "beta3", "tau", "inertia", "storage_volume", "discharge_volume", "loss",
+    "supply_flow", "supply_pressure", "recirculation_heat", "throttle_area", "exhaust_area",
+    "start", "speed", "velocity", "area", "flow_constant", "choke", "gamma", "gas", "heat",
+)  # fmt: skip
+# A named tuple, all in SI, which the compiled loops can take apart.
+_named_tuple: Any = namedtuple
+Constants = _named_tuple("Constants", FACILITY_FIELDS + MODEL_FIELDS)
+
+
+@njit(cache=True)
+def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
+    """Return φ = C_z/U of a mass flow (Eq 4, inverse of Eq 3, Eq 7)."""
+    share = abs(flow) * sqrt(temperature) / (pressure * c.flow_constant)
+    # A trial state beyond choking has no Mach number; the search then sees a large residual.
+    share = min(share, _LARGEST_SHARE_OF_CHOKE * c.choke)
+    power = (c.gamma + 1.0) / (2.0 * (c.gamma - 1.0))
+    mach = share
+    for _ in range(_NEWTON_STEPS):
+        bracket = 1.0 + 0.5 * (c.gamma - 1.0) * mach * mach
+        swallowed = mach * bracket**-power
+        step = (share - swallowed) * bracket * mach / (swallowed * (1.0 - mach * mach) + 1e-300)
+        mach += step
+        if abs(step) < 1e-12:
+            break
+    static = temperature / (1.0 + 0.5 * (c.gamma - 1.0) * mach * mach)
+    size = mach * sqrt(c.gamma * c.gas * static) / c.velocity
+    return float(size if flow >= 0.0 else -size)
+
+
+@njit(cache=True)
+def _orifice(
+    c: Any, area: float, p_up: float, t_up: float, p_down: float, t_down: float
+) -> tuple[float, float]:
+    """Return flow and gas temperature through an effective area, either way, choked or not."""
+    sign, high, low, temperature = 1.0, p_up, p_down, t_up
+    if p_down > p_up:
+        sign, high, low, temperature = -1.0, p_down, p_up, t_down
+    g = c.gamma
+    critical = (2.0 / (g + 1.0)) ** (g / (g - 1.0))
+    ratio = max(low / high, critical)
+    head = 2.0 * g / (g - 1.0) * (ratio ** (2.0 / g) - ratio ** ((g + 1.0) / g))
+    return sign * area * high * sqrt(max(head, 0.0) / (c.gas * temperature)), temperature
+
+
+@njit(cache=True)
+def _stall_point(c: Any, t25: float) -> tuple[float, float]:
+    """Return φ_s and ψ'_s at the corrected speed that T25 leaves of the constant rotor speed."""
+    x = (c.speed / sqrt(t25) - c.compressor_stall_speed_low_frac) / (
+        c.compressor_stall_speed_high_frac - c.compressor_stall_speed_low_frac
+    )
+    phi_low, psi_low = c.compressor_stall_phi_low, c.compressor_stall_psi_p_low
+    phi = phi_low + x * (c.compressor_stall_phi_high - phi_low)
+    return phi, psi_low + x * (c.compressor_stall_psi_p_high - psi_low)
+
+
+@njit(cache=True)
+def _characteristics(c: Any, phi: float, t25: float, q: float) -> tuple[float, float]:
+    """Return ψ'_QS and ψ_QS, both branches blended by q; stall never raises the pressure."""
+    phi_s, psi_s = _stall_point(c, t25)
+    free = psi_s - c.compressor_unstalled_droop * max(phi - phi_s, 0.0) ** 2
+    free_work = free / c.compressor_unstalled_efficiency
+    stalled = min(c.beta1 + phi * (c.beta2 + phi * c.beta3), free)
+    first, second = c.compressor_work_break_1, c.compressor_work_break_2
+    work = (
+        c.compressor_work_intercept
+        + c.compressor_work_slope_1 * min(phi, first)
+        + c.compressor_work_slope_2 * min(max(phi - first, 0.0), second - first)
+        + c.compressor_work_slope_3 * max(phi - second, 0.0)
+    )
+    return free + q * (stalled - free), free_work + q * (work - free_work)
+
+
+@njit(cache=True)
+def _throttle(c: Any, time: float) -> float:
+    """Return the throttle area over its initial one, which the surge start sets to opening."""
+    shut_s = max(min(time, c.start) - c.throttle_close_start_s, 0.0)
+    closed = 1.0 - c.throttle_close_rate_per_s * shut_s
+    if time <= c.start:
+        return float(closed)
+    left = exp(-(time - c.start) / c.throttle_open_lag_s)
+    return float(c.throttle_open_ratio + (closed - c.throttle_open_ratio) * left)
+
+
+@njit(cache=True)
+def _blend(c: Any, latch: FloatArray, time: float) -> float:
+    """Return the share of the stalled branch: an exponential since the last switch."""
+    fade = exp(-max(time - latch[SINCE], 0.0) / c.compressor_blend_s)
+    return float(latch[STALLED] + (latch[FROM] - latch[STALLED]) * fade)
+
+
+@njit(cache=True)
+def _rates(
+    c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
+) -> None:
+    """Fill in the state's rates and the output row."""
+    flow, t25, g = s[W], s[T_FACE], c.gamma
+    q = _blend(c, latch, time)
+    # Momentum of the inlet duct and of the compressor, one flow through both.
+    before = s[P_IN] - c.loss * flow * abs(flow)
+    psi_p = s[PSI_P]
+    if flow < 0.0:
+        # φ before the duct's inertia: with P25 itself the loss would feed back on its own spike.
+        psi_p += c.compressor_reverse_loss * _phi(c, flow, before, t25) ** 2
+    head = c.velocity**2 / (2.0 * c.heat)
+    ratio = max(1.0 + psi_p * head / t25, 0.05) ** (g / (g - 1.0))
+    d[W] = (before * ratio - s[P31]) / (c.inertia + c.inlet_inertia_per_m * ratio)
+    p25 = before - c.inlet_inertia_per_m * d[W]
+    phi = _phi(c, flow, p25, t25)
+    quasi_p, quasi_w = _characteristics(c, phi, t25, q)
+    d[PSI_P] = (quasi_p - s[PSI_P]) / c.tau
+    d[PSI] = (quasi_w - s[PSI]) / c.tau
+
+    # Mass and energy of discharge and exhaust behind two orifices.
+    wt, tt = _orifice(c, c.throttle_area * _throttle(c, time), s[P31], s[T31], s[P_EX], s[T_EX])
+    t2 = t25 + s[PSI] * head
+    stored = c.storage_volume / (c.gas * 0.5 * (t25 + t2))
+    gain = g * c.gas / c.discharge_volume
+    d[P31] = gain * (flow * t2 - wt * tt) / (1.0 + gain * stored * t2)
+    w31 = flow - stored * d[P31]
+    if w31 < 0.0:
+        # Gas that comes back out of the discharge volume has that volume's temperature.
+        d[P31] = gain * (flow * s[T31] - wt * tt) / (1.0 + gain * stored * s[T31])
+        w31 = flow - stored * d[P31]
+    mass = s[P31] * c.discharge_volume / (c.gas * s[T31])
+    d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
+    we, te = _orifice(
+        c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
+    )
+    d[P_EX] = g * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
+    mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
+    d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
+
+    # Inlet volume and face: supply, compressor, and what recirculation stirs and heats.
+    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (s[P_IN] - c.supply_pressure), 0.0)
+    cold = c.supply_temperature_K
+    t_supply = cold + c.supply_coil_effectiveness * (s[T_COIL] - cold)
+    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
+    mixed = c.heat_recirculation_exchange * stirred
+    ahead, back = max(flow, 0.0), max(-flow, 0.0)
+    heat = supply * t_supply - ahead * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
+    d[P_IN] = g * c.gas / c.volumes_inlet_m3 * heat
+    mass = s[P_IN] * c.volumes_inlet_m3 / (c.gas * s[T_IN])
+    d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - flow) / mass)
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.supply_coil_lag_s
+    warming = (
+        (ahead + mixed) * (s[T_IN] - t25)
+        + back * c.heat_reverse_heat_frac * (s[T31] - t25)
+        + stirred * c.recirculation_heat
+        + c.volumes_face_m3 / c.heat * d[P_IN]
+    )
+    d[T_FACE] = warming * c.gas * t25 / (s[P_IN] * c.volumes_face_m3)
+    out[:N_STATES] = s
+    out[P25], out[PHI], out[W31] = p25, phi, w31
+    out[W_THROTTLE], out[W_EXHAUST], out[W_SUPPLY] = wt, we, supply
+
+
+@njit(cache=True)
+def _switch(
+    c: Any, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
+) -> None:
+    """Move the latch where φ, from ``old`` to ``new`` within ``h``, crosses an edge.
+
+    Into stall below φ_s once φ has been above it, or below φ_rec − Δφ; out of stall above φ_rec
+    once φ has been below φ_rec − Δφ.
+    """
+    phi_s, _ = _stall_point(c, t25)
+    low = c.compressor_recovery_phi - c.compressor_rearm_phi
+    if latch[STALLED] > 0.5:
+        if new < low:
+            latch[ARMED] = 1.0
+        if latch[ARMED] < 0.5 or new <= c.compressor_recovery_phi:
+            return
+        edge = c.compressor_recovery_phi
+    else:
+        if new > phi_s:
+            latch[ARMED] = 1.0
+            return
+        if latch[ARMED] < 0.5 and new >= low:
+            return
+        edge = phi_s if latch[ARMED] > 0.5 else low
+    # Where the line between the two values meets the edge: the switch must not hang on the step.
+    back = h * min(max((new - edge) / (new - old), 0.0), 1.0) if new != old else 0.0
+    latch[FROM] = _blend(c, latch, time - back)
+    latch[SINCE] = time - back
+    latch[STALLED], latch[ARMED] = 1.0 - latch[STALLED], 0.0
+
+
+@njit(cache=True)
+def integrate(
+    c: Any, start: FloatArray, begin_latch: FloatArray, begin: float,
+    n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``row_s`` after it.
+
+    ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
+    rows in it the model switches by itself.
+    """
+    rows = np.empty((n_rows, N_COLUMNS))
+    s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
+    k1, k2, k3, k4 = (
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+    )
+    h, phi = row_s / substeps, np.nan
+    for i in range(n_rows):
+        for j in range(substeps):
+            time = begin + i * row_s + j * h
+            row = rows[i] if j == 0 else scratch
+            if i < forced.shape[0] - 1:
+                # A switch inside the row is written to the latch of the next one.
+                after = time >= forced[i + 1, SINCE] > begin
+                latch[:] = forced[i + 1] if after else forced[i]
+            _rates(c, time, s, latch, k1, row)
+            if forced.shape[0] == 0 and not np.isnan(phi):
+                _switch(c, latch, s[T_FACE], phi, row[PHI], time, h)
+            phi = row[PHI]
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k1, latch, k2, scratch)
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k2, latch, k3, scratch)
+            _rates(c, time + h, s + h * k3, latch, k4, scratch)
+            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return rows
+
+
+@njit(cache=True)
+def latches_of(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: float) -> FloatArray:
+    """Return the latch of each row of a measured φ, in stall from the surge start on."""
+    out = np.empty((phi.size, 4))
+    latch = np.array([0.0, 0.0, first, 0.0])
+    begun = False
+    for i in range(phi.size):
+        time = first + i * row_s
+        if begun:
+            _switch(c, latch, t25[i], phi[i - 1], phi[i], time, row_s)
+        elif time >= c.start:
+            begun = True
+            latch[STALLED], latch[SINCE] = 1.0, c.start
+        out[i] = latch
+    return out
+
+
+@njit(cache=True)
+def _as_measured(c: Any, s: FloatArray, slopes: FloatArray, d: FloatArray) -> None:
+    """Warm the gas of both volumes by what the measured pressures rise beyond their balances."""
+    share = (c.gamma - 1.0) / c.gamma
+    d[T31] += share * s[T31] / s[P31] * (slopes[2] - d[P31])
+    d[T_IN] += share * s[T_IN] / s[P_IN] * (slopes[3] - d[P_IN])
+
+
+@njit(cache=True)
+def observe(
+    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float, start: FloatArray
+) -> FloatArray:
+    """Return the model's states at each row with the columns of `MEASURED` put in.
+
+    What no probe reads (gas temperatures of the volumes, exhaust pressure, ψ) follows from the
+    same balances; nothing unstable is left in them, so that they forget their start.
+    """
+    n = measured.shape[0]
+    rows, row = np.empty((n, N_STATES)), np.empty(N_COLUMNS)
+    s, ahead = start.copy(), start.copy()
+    here, there = np.empty(N_STATES), np.empty(N_STATES)
+    for i in range(n):
+        for j, at in enumerate(MEASURED):
+            s[at] = measured[i, j]
+        rows[i] = s
+        if i < n - 1:
+            time = first + i * row_s
+            _rates(c, time, s, latch[i], here, row)
+            _as_measured(c, s, (measured[i + 1] - measured[i]) / row_s, here)
+            ahead[:] = s + row_s * here
+            for j, at in enumerate(MEASURED):
+                ahead[at] = measured[i + 1, j]
+            _rates(c, time + row_s, ahead, latch[i + 1], there, row)
+            _as_measured(c, ahead, (measured[i + 1] - measured[i]) / row_s, there)
+            s += 0.5 * row_s * (here + there)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -134,8 +433,8 @@ class TotalSystemModel:
             gas=machine.gas_constant_J_kg_K,
             heat=machine.specific_heat_J_kg_K,
         )
-        through, _ = orifice(c, 1.0, near.P31_Pa, near.T31_K, middle, near.T31_K)
-        out, _ = orifice(c, 1.0, middle, near.T31_K, ambient, near.T31_K)
+        through, _ = _orifice(c, 1.0, near.P31_Pa, near.T31_K, middle, near.T31_K)
+        out, _ = _orifice(c, 1.0, middle, near.T31_K, ambient, near.T31_K)
         return c._replace(
             throttle_area=f.throttle.area_factor * flow / through, exhaust_area=flow / out
         )

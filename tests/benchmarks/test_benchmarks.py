@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import json
 import subprocess
@@ -49,6 +50,15 @@ def test_benchmark_runs(script: Path, tmp_path: Path) -> None:
         assert all(0.0 < row["differs"] < 1e-6 for row in script_rows)
 
 
+def test_the_systems_can_hide_what_the_benchmark_hides_in_them(benchmarks: None) -> None:
+    import hidden_in_systems
+    import system_truths
+
+    for name, (kind, hidden, _) in hidden_in_systems.CASES.items():
+        known = inspect.signature(getattr(system_truths, kind)).parameters
+        assert set(hidden) <= set(known), name
+
+
 @pytest.mark.parametrize(
     ("error", "c"), [("armax", -0.6), ("armax", 0.5), ("arx", 0.0), ("output-error", 0.0)]
 )
@@ -68,7 +78,7 @@ def test_one_step_estimate_attains_the_bound(benchmarks: None, error: str, c: fl
 
 
 def test_paired_control_keeps_the_mean_and_cuts_its_error(benchmarks: None) -> None:
-    from efficiency import efficiency
+    from peers import efficiency
 
     rng = np.random.default_rng(0)
     control = rng.standard_normal(2000)
@@ -106,8 +116,7 @@ def made(benchmarks: None) -> Any:
 
 
 def test_bound_with_noise_on_the_flow_is_that_of_all_unknowns(made: Any) -> None:
-    from noisy_flow_bound import tau_bound
-    from surge_truths import TAU_S
+    from surge_truths import TAU_S, tau_bound
 
     # The whole problem, nothing eliminated: τ, β, the start and every true φ are unknown.
     def measured(unknown: FloatArray) -> FloatArray:
@@ -128,8 +137,7 @@ def test_bound_with_noise_on_the_flow_is_that_of_all_unknowns(made: Any) -> None
 
 
 def test_one_step_estimate_attains_the_bound_with_noise_on_the_flow(made: Any) -> None:
-    from noisy_flow_bound import tau_bound
-    from surge_truths import Record
+    from surge_truths import Record, tau_bound
 
     rng = np.random.default_rng(3)
     n_records = 600

@@ -14,21 +14,13 @@ from classic_ml.flow import LBM_KG
 from classic_ml.reduction_settings import ReductionSettings
 from comparisons.cli import main
 from comparisons.paper.claims import CHECKS, check_claim, check_claims
+from comparisons.paper.figures import phi_of_flow, pressure_ratio
 from comparisons.paper.instabilities import (
     PAPER_SETTINGS,
     Instabilities,
     InstabilityRun,
     reduce_run,
     run_case,
-)
-from comparisons.paper.truth import (
-    in_stall_psi,
-    in_stall_psi_p,
-    phi_of_flow,
-    pressure_ratio,
-    stall_point,
-    temperature_K,
-    unstalled_psi_p,
 )
 from comparisons.rig import CASES, SensorSettings, gas, simulate
 from comparisons.rig.cases import RigCase
@@ -183,29 +175,27 @@ def test_a_wrong_curve_does_not_reconstruct_and_a_true_one_is_valid(runs: Instab
     assert check_claim(right, 35).holds
 
 
-def test_curves_of_the_truth_are_those_of_the_rig(runs: Instabilities) -> None:
+def test_curves_of_the_case_are_those_of_the_run(runs: Instabilities) -> None:
     high, steady = runs["985"], runs["75-stall"]
-    truth = steady.rig.truth
+    truth, case = steady.rig.truth, steady.machine
     rows = (truth.time_s > 1.0) & (truth["stall_blend"] > 1.0 - 1e-9)
     assert np.count_nonzero(rows) > 1000
-    assert_allclose(truth["psi_p_qs"][rows], in_stall_psi_p(steady, truth["phi"][rows]), rtol=1e-6)
-    assert_allclose(truth["psi_qs"][rows], in_stall_psi(steady, truth["phi"][rows]), rtol=1e-6)
+    assert_allclose(truth["psi_p_qs"][rows], case.in_stall_psi_p(truth["phi"][rows]), rtol=1e-6)
+    assert_allclose(truth["psi_qs"][rows], case.in_stall_psi(truth["phi"][rows]), rtol=1e-6)
     for run in (high, steady):
         begin = run.rig.truth
-        speed = float(begin["Nc_frac"][0])
-        found = unstalled_psi_p(run, begin["phi"][0], speed)
+        found = run.machine.unstalled_psi_p(begin["phi"][0], float(begin["Nc_frac"][0]))
         assert found == pytest.approx(begin["psi_p_qs"][0], rel=1e-6)
 
 
 def test_flow_and_pressure_ratio_follow_the_rigs_gas(runs: Instabilities) -> None:
     high = runs["985"]
     truth, velocity = high.rig.truth, high.rig.truth_parameters["rotor_velocity_m_s"]
-    inlet_K = temperature_K(high, 0.75)
-    assert inlet_K == pytest.approx(255.0 * (0.985 / 0.75) ** 2)
     for row in (0, 2000, 2600):
-        flow = truth["Wc25_kg_s"][row] / LBM_KG
+        flow = truth["Wc25_kg_s"][row : row + 1] / LBM_KG
         phi = phi_of_flow(high, flow, float(truth["T25_K"][row]))
         assert phi == pytest.approx(truth["phi"][row], rel=1e-6, abs=1e-9)
-    assert stall_point(high, 0.75) == pytest.approx((0.272, 4.2))
+    assert high.machine.stall_point(0.75) == pytest.approx((0.272, 4.2))
+    inlet_K = 255.0 * (0.985 / 0.75) ** 2
     expected = (1.0 + 4.2 * velocity**2 / (2.0 * gas.CP_J_KG_K * inlet_K)) ** 3.5
     assert float(pressure_ratio(high, 4.2, inlet_K)) == pytest.approx(expected, rel=1e-4)

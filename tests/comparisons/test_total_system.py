@@ -21,7 +21,7 @@ from comparisons.total_system import (
     sensitivity_rows,
     sensitivity_table,
 )
-from comparisons.total_system.rig_facility import facility_of_case
+from comparisons.total_system.facility import facility_of_case
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

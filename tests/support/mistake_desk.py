@@ -22,7 +22,7 @@ from comparisons.cli import main
 from comparisons.harness.saved_models import save_models
 from comparisons.results import FittedLag
 from comparisons.total_system import facility_toml
-from comparisons.total_system.rig_facility import facility_of_case
+from comparisons.total_system.facility import facility_of_case
 
 __all__ = ["Answer", "clean_files", "clean_test", "hand_in", "ledger_of", "rms_errors", "run_in"]
 

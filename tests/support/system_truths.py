@@ -78,21 +78,29 @@ def thermal(
     *,
     delay_s: float = 0.0,
     sensor_lag_s: float = 0.0,
+    valve_lag_s: float = 0.0,
+    drift: float = 0.0,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
-    """Power P in W, temperatures T_h and T_b in K; the lag is of the body's sensor."""
+    """Power P in W, temperatures T_h and T_b in K; ``drift`` is of G_a in 1000 s.
+
+    The sensor lag is of the body's sensor.
+    """
     rng = np.random.default_rng(seed)
     power = tones(rng, 30.0, 0.03, mean=100.0)
     p = THERMAL
 
     def slopes(t: float, x: list[float]) -> list[float]:
+        given = power(t - delay_s)
+        inner = (given - x[2]) / valve_lag_s if valve_lag_s else 0.0
+        heat = x[2] if valve_lag_s else given
         through = p["G"] * (x[0] - x[1])
-        loss = p["G_a"] * x[1]
-        seen = (x[1] - x[2]) / sensor_lag_s if sensor_lag_s else 0.0
-        return [(power(t - delay_s) - through) / p["C_h"], (through - loss) / p["C_b"], seen]
+        loss = p["G_a"] * (1.0 + drift * (t / 1000.0 - 1.0)) * x[1]
+        seen = (x[1] - x[3]) / sensor_lag_s if sensor_lag_s else 0.0
+        return [(heat - through) / p["C_h"], (through - loss) / p["C_b"], inner, seen]
 
-    states = integrated(slopes, [60.0, 38.0, 38.0], n, THERMAL_PERIOD_S)
-    shown = states[:, 2] if sensor_lag_s else states[:, 1]
+    states = integrated(slopes, [60.0, 38.0, power(0.0), 38.0], n, THERMAL_PERIOD_S)
+    shown = states[:, 3] if sensor_lag_s else states[:, 1]
     return {
         "P": sampled(power, n, THERMAL_PERIOD_S),
         "T_h": noisy(states[:, 0], noise, rng),
@@ -113,6 +121,7 @@ def tanks(
     n: int = 2000,
     *,
     rim: float = math.inf,
+    into_second: bool = False,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
     """Inflow q in dm³/s, levels h_1 and h_2 in dm; what exceeds the rim of the first spills."""
@@ -126,7 +135,8 @@ def tanks(
         first, second = (q - over) / p["A_1"], (over - lower) / p["A_2"]
         # A vessel that is full stays full while it is filled: fast, as the flow over an edge is.
         spilt = max(x[0] - rim, 0.0) / (0.5 * TANKS_PERIOD_S)
-        return [first - spilt, second]
+        gained = spilt * p["A_1"] / p["A_2"] if into_second else 0.0
+        return [first - spilt, second + gained]
 
     states = integrated(slopes, [9.0, 5.5], n, TANKS_PERIOD_S)
     given = np.maximum(sampled(flow, n, TANKS_PERIOD_S), 0.0)
@@ -142,6 +152,7 @@ def pipe(
     n: int = 2000,
     *,
     drag: float = 0.0,
+    asymmetric: float = 0.0,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
     """Pressure p in kPa, flow Q in dm³/s; ``drag`` in kPa/(dm³/s)² against Q|Q|."""
@@ -150,7 +161,7 @@ def pipe(
     p = PIPE
 
     def slopes(t: float, x: list[float]) -> list[float]:
-        loss = p["R"] * x[0] + drag * x[0] * abs(x[0])
+        loss = p["R"] * x[0] + drag * x[0] * abs(x[0]) + asymmetric * abs(x[0])
         return [(pump(t) - loss - x[1]) / p["I"], (x[0] - x[1] / p["R_o"]) / p["C"]]
 
     states = integrated(slopes, [0.0, 0.0], n, PIPE_PERIOD_S)
@@ -168,16 +179,18 @@ def circuit(
     *,
     drive_limit: float = math.inf,
     drive_gap: float = 0.0,
+    cubic: float = 0.0,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
-    """Voltage v in V, current i in A."""
+    """Voltage v in V, current i in A; ``cubic`` in V/C³ over the charge C v_C."""
     rng = np.random.default_rng(seed)
     source = tones(rng, 8.0, 12.0)
     p = CIRCUIT
 
     def slopes(t: float, x: list[float]) -> list[float]:
         v = beyond(limited(source(t), drive_limit), drive_gap)
-        return [(v - p["R"] * x[0] - x[1]) / p["L"], x[0] / p["C"]]
+        back = x[1] + cubic * (p["C"] * x[1]) ** 3
+        return [(v - p["R"] * x[0] - back) / p["L"], x[0] / p["C"]]
 
     states = integrated(slopes, [0.0, 0.0], n, CIRCUIT_PERIOD_S)
     return {"v": sampled(source, n, CIRCUIT_PERIOD_S), "i": noisy(states[:, 0], noise, rng)}
@@ -195,23 +208,29 @@ def body(
     force: Callable[[float, float, float], float] = lambda t, q, v: 0.0,
     sensor: Callable[[np.ndarray], np.ndarray] = lambda q: q,
     play: float = 0.0,
+    hysteresis: tuple[float, float] = (0.0, 1.0),
     noise: float = 0.01,
     with_speed: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Force F in N, position q in m; ``force`` is what the model lacks, in N."""
+    """Force F in N, position q in m; ``force`` is what the model lacks, in N.
+
+    ``hysteresis`` is (N, m): a Dahl force and the way on which it builds up.
+    """
     rng = np.random.default_rng(seed)
     drawn = tones(rng, 20.0, 2.0)
     p = BODY
+    held, reach = hysteresis
 
     def slopes(t: float, x: list[float]) -> list[float]:
-        q, v, w = x
+        q, v, z, w = x
         given = drawn(t)
         followed = beyond(given - w, play) / (0.1 * BODY_PERIOD_S) if play else 0.0
         acts = w if play else given
-        dv = (acts - p["c"] * v - p["k"] * q + force(t, q, v)) / p["M"]
-        return [v, dv, followed]
+        dz = (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / reach
+        dv = (acts - p["c"] * v - p["k"] * q + force(t, q, v) - held * z) / p["M"]
+        return [v, dv, dz, followed]
 
-    states = integrated(slopes, [0.05, 0.0, drawn(0.0)], n, BODY_PERIOD_S, substeps=16)
+    states = integrated(slopes, [0.05, 0.0, 0.0, drawn(0.0)], n, BODY_PERIOD_S, substeps=16)
     made = {
         "F": sampled(drawn, n, BODY_PERIOD_S),
         "q": noisy(sensor(states[:, 0]), noise, rng),

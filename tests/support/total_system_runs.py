@@ -17,7 +17,7 @@ from comparisons.total_system import (
     TotalSystemSettings,
     measured_signals,
 )
-from comparisons.total_system.rig_facility import facility_of_case
+from comparisons.total_system.facility import facility_of_case
 
 TRUE_TAU_S = 0.018
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from comparisons.rig_distributed.characteristic import growth_per_s
 from comparisons.rig_distributed.euler import OUTPUTS, integrate
 from comparisons.rig_distributed.machine import Machine
 from comparisons.rig_distributed.plant import (
@@ -131,7 +130,7 @@ def test_compact_ducts_surge_as_greitzers_lumped_model() -> None:
     path = lay_out(machine)
     inertia = np.sum(path.cell_m**2 / path.volumes_m3)
     volume = np.sum(path.volumes_m3[path.n_inlet + path.n_compressor :])
-    growth = growth_per_s(machine)
+    growth = machine.growth_per_s
     supply_pa, t0 = machine.supply_pa, machine.supply_k
     rho0 = supply_pa / (R * t0)
     head = machine.rotor_velocity_m_s**2 / (2.0 * CP * t0)

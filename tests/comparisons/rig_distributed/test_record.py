@@ -19,7 +19,7 @@ from comparisons.rig_distributed import (
     simulate,
     write_run,
 )
-from comparisons.rig_distributed.probes import hole_pressures_pa
+from comparisons.rig_distributed.rakes import hole_pressures_pa
 from surge_core.errors import InputError
 
 QUIET = Instruments(noise_frac=0.0, junction_noise_k=0.0, facility_frac=0.0, facility_k=0.0)
