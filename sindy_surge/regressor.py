@@ -13,9 +13,9 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.binding import LIMITS, Binding, binding_constraints
 from sindy_surge.candidate_terms import CandidateTerms, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
+from sindy_surge.constraints import LIMITS, Binding, binding_constraints
 from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, Identified, identify
 from sindy_surge.lag_problem import LagProblem

@@ -110,7 +110,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         "time_constant_s": {
             "value": tau,
             "stderr": error,
-            "ci95": list(interval95(tau, error, positive=True)),
+            "ci95": list(interval95(tau, error)),
         },
         # Null where none was looked for.
         "dead_time_s": {

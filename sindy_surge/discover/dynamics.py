@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sindy_surge.discover.collocation import Collocation, Fit, Linear
+from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.features import Features
-from sindy_surge.discover.search import Search, Tried, proposed_by
-from sindy_surge.discover.smoothing import difference_noise, smoothed
+from sindy_surge.discover.smoothing import smoothed
 from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.linear_problem import LinearProblem, Support
+from sindy_surge.noise import difference_noise
+from sindy_surge.search import Search, Tried, best_of_equation, chosen_support
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IndexArray
 from surge_core.validation import one_of
 
-# Rows of the segments on which the full library is fitted, and on which supports are compared.
-# Short first: there a library of wrong terms still follows the data.
+# Rows of the segments on which the full library is fitted: short first, where a library of wrong
+# terms still follows the data. Supports are compared on the last of them, and then on longer ones.
 _FULL_ROWS = (30, 60)
-_LEVELS = (60, 300, None)
+_LONGER_ROWS = (300, None)
 # A coefficient is at first believed to make no term larger than so many times the derivative.
 _LARGEST_TERM = 10.0
 # Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
@@ -32,12 +35,21 @@ _START_RIDGE = 1e-4
 _LEAST_NOISE = 3.5e-4
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
+# Two supports whose scores, in χ², are closer than this are rivals (Kass & Raftery 1995).
+_RIVAL = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
 # Of white noise the correlation of neighbours scatters by 1/√N.
 _WHITE_SIGMAS = 5.0
 # What is left over the noise that differences show, before a run of it counts.
 _EXCESS = 1.2
+
+
+@dataclass
+class _Level(Search[Fit]):
+    """Supports tried on segments of one length."""
+
+    likelihood: Collocation
 
 
 class SparseDynamics(BaseEstimator):
@@ -247,7 +259,7 @@ class SparseDynamics(BaseEstimator):
             _SCORED_ROWS,
         )
         empty = np.zeros_like(self.coef_.T)
-        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, smoothed(problem.data))
+        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, _smooth(problem.data))
         measured = ~self._hidden
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
@@ -270,14 +282,14 @@ class SparseDynamics(BaseEstimator):
         self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
-        noise = np.maximum(difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
+        noise = np.maximum(_difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
         spread = np.std(data.y, axis=0)
         noise = np.append(noise, _HIDDEN_FREEDOM * spread[hidden])
         library = self.library if self.library is not None else PolynomialLibrary(degree=3)
-        sample = np.column_stack((data.y, data.u))
-        features = Features.of(library, self.state_names_, self.input_names_, sample)
+        every = (*self.state_names_, *self.input_names_)
+        features = Features.of(library, every, data.y, data.u)
         given = np.zeros((len(features.names), data.y.shape[1]))
         for state, terms in known.items():
             for name, value in terms.items():
@@ -313,7 +325,7 @@ class SparseDynamics(BaseEstimator):
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
         if not self.hidden:
             return data
-        smooth, rates = smoothed(data), self._rates(data)
+        smooth, rates = _smooth(data), self._rates(data)
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
         columns |= dict(zip(self.input_names_, data.u.T, strict=True))
         for name in self.hidden:
@@ -325,57 +337,79 @@ class SparseDynamics(BaseEstimator):
                     rest -= value * (1.0 if other == "1" else columns[other])
             columns[name] = rest / terms[name]
         added = np.column_stack([columns[name] for name in self.hidden])
-        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.run)
+        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.runs)
 
     def _rates(self, data: Trajectories) -> FloatArray:
         """Return dx/dt of shape (n_rows, n_states), by the user's differentiation or a smooth."""
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
-        y = data.y if self.differentiation is not None else smoothed(data)
-        parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.pieces()]
+        y = data.y if self.differentiation is not None else _smooth(data)
+        parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
 
-    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[Search], Tried]:
+    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[_Level], Tried[Fit]]:
         """Return the supports tried at each length of segments, the last first, and the best."""
         n_terms, n_states = problem.known.shape
         taken = [self.state_names_.index(name) for name in self._known]
-        free = np.array(
-            [i for i in range(n_terms * n_states) if i // n_terms not in taken], dtype=np.intp
-        )
-        full, problem = self._full(problem, rates, free)
+        equations = [
+            tuple(range(state * n_terms, (state + 1) * n_terms))
+            for state in range(n_states)
+            if state not in taken
+        ]
+        full, problem = self._full(problem, rates, np.concatenate(equations))
         self.noise_ = problem.noise[~problem.hidden]
-        measured = problem.cut(_FULL_ROWS[-1])
-        linear = measured.linear(full, free)
-        logs = float(np.log(problem.data.run.size)), float(np.log(n_terms))
-        proposals = [self._proposal(linear, free, n_terms)]
-        search = Search(measured, free, *logs)
+        # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
+        price = float(np.log(len(problem.data.y)) + 2.0 * np.log(n_terms))
+        short = _Level(problem.cut(_FULL_ROWS[-1]), equations, price)
+        linear = short.likelihood.regression(full)
+        by = type(self.optimizer).__name__ if self.optimizer is not None else "STLSQ"
+        chosen, promising = self._proposals(linear, equations, price)
         if self.search == "optimizer":
-            search = Search(problem.cut(None), free, *logs)
-            return [search], search.try_support(proposals[0][0], full, proposals[0][1])
-        proposals += [(s, "elimination") for s in search.promising(linear)]
-        best = min((search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score)
-        searches = [search]
+            whole = _Level(problem.cut(None), equations, price)
+            return [whole], whole.try_support(chosen, full, by)
+        tries = [short.try_support(chosen, full, by)]
+        tries.append(short.try_support(promising, full, "regression"))
+        best = min(tries, key=lambda t: t.score)
+        levels = [short]
         if not np.isfinite(best.score):
-            return searches, best
-        for rows in _LEVELS:
-            longest = max(p.stop - p.start for p in problem.data.pieces())
-            level = search if rows == _FULL_ROWS[-1] else Search(problem.cut(rows), free, *logs)
-            if rows is not None and rows >= longest:
+            return levels, best
+        best = short.climb(best)
+        for rows in _LONGER_ROWS:
+            if rows is not None and rows >= problem.data.runs.lengths.max():
                 continue
+            level = _Level(problem.cut(rows), equations, price)
             start = level.try_support(best.support, best.fit, best.by)
             if not np.isfinite(start.score):
                 break
             best = level.climb(start)
-            if level is not search:
-                searches.insert(0, level)
-        return searches, best
+            levels.insert(0, level)
+        return levels, best
+
+    def _proposals(
+        self, linear: LinearProblem, equations: Sequence[Support], price: float
+    ) -> tuple[list[int], list[int]]:
+        """Return what the optimizer chooses, and the best by the regression, each by equation.
+
+        For one equation all terms of the others are left free.
+        """
+        from pysindy import STLSQ
+
+        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
+        chosen, promising = [], []
+        for own in equations:
+            others = [i for each in equations if each is not own for i in each]
+            rest = linear.beside(others, own)
+            chosen += [own[i] for i in chosen_support(rest, optimizer)]
+            ranked = best_of_equation(rest, tuple(range(len(own))), (), price)
+            promising += [own[i] for i in min(ranked)[1]]
+        return chosen, promising
 
     def _full(
         self, problem: Collocation, rates: FloatArray, free: IndexArray
     ) -> tuple[Fit, Collocation]:
         """Fit the whole library on short segments, and with it the noise."""
-        x = smoothed(problem.data)
+        x = _smooth(problem.data)
         x[:, problem.hidden] = problem.data.y[:, problem.hidden]
         theta = problem.features.values(x, problem.data.u)
         n_terms, n_states = problem.known.shape
@@ -390,7 +424,7 @@ class SparseDynamics(BaseEstimator):
         for rows in _FULL_ROWS:
             fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
         own = problem.cut(_FULL_ROWS[-1])
-        n_rows = problem.data.run.size
+        n_rows = len(problem.data.y)
         starts = 1 + int(np.count_nonzero(~own.joined))
         spent = starts + free.size / n_states
         left = problem.data.y - fit.x
@@ -404,22 +438,13 @@ class SparseDynamics(BaseEstimator):
             fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
         return fit, problem
 
-    def _proposal(
-        self, linear: Linear, free: IndexArray, n_terms: int
-    ) -> tuple[tuple[int, ...], str]:
-        from pysindy import STLSQ
-
-        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
-        name = type(optimizer).__name__
-        return proposed_by(optimizer, linear, free, n_terms), name
-
-    def _keep(self, problem: Collocation, searches: list[Search], best: Tried) -> None:
+    def _keep(self, problem: Collocation, searches: list[_Level], best: Tried[Fit]) -> None:
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
         if not np.isfinite(best.score):
-            empty = search.problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            empty = search.likelihood.fit(nothing, np.zeros_like(problem.known), problem.data.y)
             best = Tried((), np.inf, empty, best.by)
         features, n_terms = problem.features, problem.known.shape[0]
-        self._features, self._noise_all = features, search.problem.noise
+        self._features, self._noise_all = features, search.likelihood.noise
         self.search_, self.best_ = search, best
         self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
@@ -430,16 +455,16 @@ class SparseDynamics(BaseEstimator):
         self.terms_ = tuple(tuple(t.name for t in terms) for terms in self.equation_terms_)
         self.x_ = best.fit.x
         self.rivals_ = tuple(
-            Rival(self._terms_of(t, problem.known), t.score - best.score)
-            for t in search.rivals(best)
+            Rival(self._terms_of(t, problem.known), 0.5 * (t.score - best.score))
+            for t in search.rivals(best, _RIVAL)
         )
         self.inclusion_probability_ = search.inclusion(self.coef_.size).reshape(-1, n_terms)
         self.path_ = tuple(
-            (t.by, self._names_of(t.support), float(t.score))
+            (t.by, self._names_of(t.support), 0.5 * float(t.score))
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
-        self.state_ = self._state(problem, best, search.problem)
+        self.state_ = self._state(problem, best, search.likelihood)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -448,7 +473,7 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _terms_of(self, tried: Tried, known: FloatArray) -> tuple[tuple[Term, ...], ...]:
+    def _terms_of(self, tried: Tried[Fit], known: FloatArray) -> tuple[tuple[Term, ...], ...]:
         n = len(self.candidate_terms_)
         errors = dict(zip(tried.support, np.sqrt(np.diag(tried.fit.covariance)), strict=True))
         xi = tried.fit.xi + known
@@ -461,14 +486,14 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried, compared_on: Collocation) -> FitState:
+    def _state(self, problem: Collocation, best: Tried[Fit], compared_on: Collocation) -> FitState:
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
         floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
-        seen = np.maximum(difference_noise(problem.data), floor)[~problem.hidden]
+        seen = np.maximum(_difference_noise(problem.data), floor)[~problem.hidden]
         above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
         white = _WHITE_SIGMAS / np.sqrt(len(left))
         if np.any((coloured > white) & above):
@@ -488,6 +513,19 @@ def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
             found="a constant",
             remedy="leave the state out",
         )
+
+
+def _difference_noise(data: Trajectories) -> FloatArray:
+    """Return the noise that sixth differences show, which a sampled smooth signal hardly has."""
+    return np.array([difference_noise(y, data.runs, 6) for y in data.y.T])
+
+
+def _smooth(data: Trajectories) -> FloatArray:
+    result = np.empty_like(data.y)
+    for j, noise in enumerate(_difference_noise(data)):
+        for rows in data.runs.slices():
+            result[rows, j] = smoothed(data.y[rows, j], float(noise))
+    return result
 
 
 def _check_names(names: Sequence[str], wanted: int) -> None:

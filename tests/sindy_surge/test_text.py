@@ -64,8 +64,8 @@ def test_interval_covers_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     inside = 0
     for value in 0.018 + 0.002 * rng.standard_normal(2000):
-        low, high = interval95(value, 0.002, positive=True)
+        low, high = interval95(value, 0.002)
         inside += low <= 0.018 <= high
     assert 0.93 < inside / 2000 < 0.97
-    assert interval95(0.001, 0.002, positive=True)[0] == 0.0
+    assert interval95(0.001, 0.002)[0] == 0.0
     assert all(map(math.isnan, interval95(1.0, math.nan)))
