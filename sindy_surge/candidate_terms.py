@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.library import StallLibrary, default_library, hinge_name
-from sindy_surge.state_terms import ProductStateTerms
+from sindy_surge.state_terms import PhysicalForm, ProductStateTerms, physical_form
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -68,6 +68,20 @@ class CandidateTerms:
     def n_without_state(self) -> int:
         """Number of terms that do not hold ψ'."""
         return len(self._own_names) + len(self._extra)
+
+    def written(
+        self,
+        selected: NDArray[np.intp],
+        coefficients: FloatArray,
+        time_constant_s: float = 1.0,
+        covariance: FloatArray | None = None,
+    ) -> PhysicalForm:
+        """Return a structure in ψ' itself, with the covariance of its coefficients and τ."""
+        names = [self.names[i] for i in selected]
+        if covariance is None:
+            covariance = np.zeros((len(names) + 1, len(names) + 1))
+        given = names, coefficients, time_constant_s, covariance
+        return physical_form(*given, self.states, self.input_names)
 
     def physical(self) -> CandidateTerms:
         """Return the library with terms in ψ' itself, as their names say."""

@@ -212,7 +212,6 @@ def select_by_held_out(
     problem: LagProblem,
     optimizer: Any,
     max_terms: int,
-    degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
@@ -230,15 +229,7 @@ def select_by_held_out(
     segments and the fast part of the error, both of which a free run or a one-step fit
     takes for dynamics.
 
-    Parameters
-    ----------
-    degrees : sequence of int or None
-        Total degree of each usable term; None for a term that is no polynomial.
-
-    Returns
-    -------
-    HeldOutFit or None
-        None if the segments are too short for the weak form, or the structure chosen gives no lag.
+    None if the segments are too short for the weak form, or the structure chosen gives no lag.
     """
     weak = WeakEquations.of(problem)
     if weak is None:
@@ -255,7 +246,7 @@ def select_by_held_out(
         return held and constraints.allow(support, weak.fit(support)[0][:-1])
 
     proposed = [s for s in proposals(linear, optimizer, max_terms, required) if admitted(s)]
-    ladder = [s for s in polynomial_ladder(degrees, max_terms) if admitted(s)]
+    ladder = [s for s in polynomial_ladder(problem.degrees, max_terms) if admitted(s)]
     if len(ladder) < _FEWEST_RUNGS:
         ladder = best_of_each_size(linear, proposed)
     if not ladder:

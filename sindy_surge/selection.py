@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +13,7 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.preparation import Prepared
 from sindy_surge.search import Search, beam_search, best_of_equation, proposals
-from sindy_surge.state_terms import PhysicalForm, physical_form
+from sindy_surge.state_terms import PhysicalForm
 from surge_core.types import FloatArray
 
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
@@ -31,36 +30,18 @@ _MISJUDGED = 12.0
 
 @dataclass(frozen=True)
 class PathRow:
-    """One line of the table of structures.
+    """One line of the table of structures."""
 
-    Parameters
-    ----------
-    size : int
-        Number of terms.
-    terms : tuple of str
-        Their names.
-    score : float
-        Extended BIC about the structure's own fit, or about the fit with all terms where τ is
-        nan. The lower the better, but only within one linearisation.
-    chi2 : float
-        Sum of the squared whitened residuals.
-    time_constant_s : float
-        τ of the structure's own fit in seconds; nan where it had none.
-    consistent : bool
-        Whether no other structure beats it about its own fit.
-    chosen : bool
-        Whether it is the answer.
-    held_out_rms : float
-        Error on cycles left out, in units of ψ', where these decide; else nan.
-    """
-
-    size: int
-    terms: tuple[str, ...]
+    size: int  # Number of terms
+    terms: tuple[str, ...]  # Their names
+    # Extended BIC about the structure's own fit, or about the fit with all terms where τ is nan.
+    # The lower the better, but only within one linearisation
     score: float
-    chi2: float
-    time_constant_s: float
-    consistent: bool
-    chosen: bool
+    chi2: float  # Sum of the squared whitened residuals
+    time_constant_s: float  # τ of the structure's own fit in seconds; nan where it had none
+    consistent: bool  # Whether no other structure beats it about its own fit
+    chosen: bool  # Whether it is the answer
+    # Error on cycles left out, in units of ψ', where these decide; else nan
     held_out_rms: float = float("nan")
 
 
@@ -86,7 +67,6 @@ def select_structure(
     prepared: Prepared,
     optimizer: Any,
     max_terms: int,
-    degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> Selection:
     """Choose the terms.
@@ -98,14 +78,8 @@ def select_structure(
     polynomial). What refutes a structure is proposed in its place. Of the smallest size that
     stands, the least χ² wins; within those margins, the structure with fewer terms that are not
     polynomials.
-
-    Parameters
-    ----------
-    degrees : sequence of int or None
-        Degrees of the usable terms; None for those that are no polynomials of the inputs. For the
-        tie rule.
     """
-    search = _Search(prepared, max_terms, degrees, constraints)
+    search = _Search(prepared, max_terms, constraints)
     search.propose(optimizer)
     search.run()
     chosen, rivals = search.choose()
@@ -150,11 +124,10 @@ class _Search(Search[StructureFit]):
         self,
         prepared: Prepared,
         max_terms: int,
-        degrees: Sequence[int | None],
         constraints: Constraints,
     ) -> None:
         self.problem, self.rich = prepared.problem, prepared.rich
-        self.max_terms, self.degrees, self.constraints = max_terms, degrees, constraints
+        self.max_terms, self.constraints = max_terms, constraints
         self.about = white_equations(self.problem, self.rich).compressed()
         # The same for every linearisation: as many equations and terms.
         n_terms = self.about.columns.shape[1]
@@ -253,7 +226,9 @@ class _Search(Search[StructureFit]):
 
     def margin(self, support: Support) -> float:
         """Return by how much χ² another structure of the same size must be less."""
-        known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
+        known = sorted(
+            self.problem.degrees[i] or 0 for i in support if self.problem.degrees[i] is not None
+        )
         return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
 
     def _signed(self, support: Support, coefficients: FloatArray) -> bool:
@@ -277,9 +252,7 @@ class _Search(Search[StructureFit]):
 
     def _physical(self, support: Support, coefficients: FloatArray) -> PhysicalForm:
         """Return a structure as its user will read it, τ in units of its own."""
-        names, terms = self.problem.names(support), self.problem.terms
-        none = np.zeros((len(names) + 1, len(names) + 1))
-        return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
+        return self.problem.terms.written(self.problem.columns[list(support)], coefficients)
 
     def choose(self) -> tuple[Support, tuple[Support, ...]]:
         """Return the best structure of the smallest size that stands, and its rivals."""
@@ -295,7 +268,7 @@ class _Search(Search[StructureFit]):
         tied = [s for s in level if chi2[s] < least + self.margin(s)]
 
         def order(support: Support) -> tuple[int, float]:
-            special = sum(self.degrees[i] is None for i in support)
+            special = sum(self.problem.degrees[i] is None for i in support)
             return special, self.tried[support].fit.chi2
 
         chosen = min(tied, key=order)

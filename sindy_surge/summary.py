@@ -31,36 +31,18 @@ def interval95(value: float, stderr: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """What is shown of a fitted model.
+    """What is shown of a fitted model."""
 
-    Parameters
-    ----------
-    parts : EquationParts
-        The equation with its errors.
-    state : FitState
-        What became of the fit.
-    name : str
-        Name of the estimator.
-    n_candidates : int
-        Number of terms in the library.
-    inclusion : sequence of float or None
-        Probability that a term belongs, one for each term.
-    rivals : sequence of sequences of str or None
-        Structures that the data cannot tell from the chosen one; None if not looked for.
-    noise : tuple of (float, sequence of float) or None
-        Standard deviation found for the noise of ψ' and of each input.
-    cautions : sequence of str
-        What to know before the numbers are used.
-    """
-
-    parts: EquationParts
-    state: FitState
-    name: str = "SparseLagRegressor"
-    n_candidates: int = 0
-    inclusion: Sequence[float] | None = None
+    parts: EquationParts  # The equation with its errors
+    state: FitState  # What became of the fit
+    name: str = "SparseLagRegressor"  # Name of the estimator
+    n_candidates: int = 0  # Number of terms in the library
+    inclusion: Sequence[float] | None = None  # Probability that a term belongs, one for each term
+    # Structures that the data cannot tell from the chosen one; None if not looked for
     rivals: Sequence[Sequence[str]] | None = None
+    # Standard deviation found for the noise of ψ' and of each input
     noise: tuple[float, Sequence[float]] | None = None
-    cautions: Sequence[str] = ()
+    cautions: Sequence[str] = ()  # What to know before the numbers are used
 
     def sheet(self) -> Sheet:
         """Return the fields, and the table of the terms."""

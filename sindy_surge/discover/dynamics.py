@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -12,27 +11,14 @@ from sklearn.base import BaseEstimator
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.features import Features
-from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.discover.levels import Level, search_by_levels
 from sindy_surge.discover.trajectories import Trajectories
-from sindy_surge.linear_problem import LinearProblem, Support
-from sindy_surge.noise import difference_noise
-from sindy_surge.search import Search, Tried, best_of_equation, chosen_support
+from sindy_surge.search import Tried
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray, IndexArray
+from surge_core.types import FloatArray
 from surge_core.validation import one_of
 
-# Rows of the segments on which the full library is fitted: short first, where a library of wrong
-# terms still follows the data. Supports are compared on the last of them, and then on longer ones.
-_FULL_ROWS = (30, 60)
-_LONGER_ROWS = (300, None)
-# A coefficient is at first believed to make no term larger than so many times the derivative.
-_LARGEST_TERM = 10.0
-# Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
-_START_RIDGE = 1e-4
-# Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
-# five standard deviations.
-_LEAST_NOISE = 3.5e-4
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
 # Two supports whose scores, in χ², are closer than this are rivals (Kass & Raftery 1995).
@@ -43,13 +29,6 @@ _SCORED_ROWS = 300
 _WHITE_SIGMAS = 5.0
 # What is left over the noise that differences show, before a run of it counts.
 _EXCESS = 1.2
-
-
-@dataclass
-class _Level(Search[Fit]):
-    """Supports tried on segments of one length."""
-
-    likelihood: Collocation
 
 
 class SparseDynamics(BaseEstimator):
@@ -140,12 +119,15 @@ class SparseDynamics(BaseEstimator):
         InputError
             If the data cannot be used.
         """
+        from pysindy import STLSQ
+
         one_of("search", self.search, ("full", "optimizer"))
         data = Trajectories.of(x, t, u)
         _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names)
-        searches, best = self._searched(problem, rates)
-        self._keep(problem, searches, best)
+        given = [self.state_names_.index(name) for name in self._known]
+        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
+        self._keep(*search_by_levels(problem, rates, given, optimizer, full=self.search == "full"))
         return self
 
     # -- What was found ---------------------------------------------------------------------------
@@ -259,7 +241,7 @@ class SparseDynamics(BaseEstimator):
             _SCORED_ROWS,
         )
         empty = np.zeros_like(self.coef_.T)
-        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, _smooth(problem.data))
+        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, problem.data.smooth())
         measured = ~self._hidden
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
@@ -282,7 +264,7 @@ class SparseDynamics(BaseEstimator):
         self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
-        noise = np.maximum(_difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
+        noise = data.noise
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
         spread = np.std(data.y, axis=0)
@@ -325,7 +307,7 @@ class SparseDynamics(BaseEstimator):
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
         if not self.hidden:
             return data
-        smooth, rates = _smooth(data), self._rates(data)
+        smooth, rates = data.smooth(), self._rates(data)
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
         columns |= dict(zip(self.input_names_, data.u.T, strict=True))
         for name in self.hidden:
@@ -344,107 +326,19 @@ class SparseDynamics(BaseEstimator):
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
-        y = data.y if self.differentiation is not None else _smooth(data)
+        y = data.y if self.differentiation is not None else data.smooth()
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
 
-    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[_Level], Tried[Fit]]:
-        """Return the supports tried at each length of segments, the last first, and the best."""
-        n_terms, n_states = problem.known.shape
-        taken = [self.state_names_.index(name) for name in self._known]
-        equations = [
-            tuple(range(state * n_terms, (state + 1) * n_terms))
-            for state in range(n_states)
-            if state not in taken
-        ]
-        full, problem = self._full(problem, rates, np.concatenate(equations))
-        self.noise_ = problem.noise[~problem.hidden]
-        # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
-        price = float(np.log(len(problem.data.y)) + 2.0 * np.log(n_terms))
-        short = _Level(problem.cut(_FULL_ROWS[-1]), equations, price)
-        linear = short.likelihood.regression(full)
-        by = type(self.optimizer).__name__ if self.optimizer is not None else "STLSQ"
-        chosen, promising = self._proposals(linear, equations, price)
-        if self.search == "optimizer":
-            whole = _Level(problem.cut(None), equations, price)
-            return [whole], whole.try_support(chosen, full, by)
-        tries = [short.try_support(chosen, full, by)]
-        tries.append(short.try_support(promising, full, "regression"))
-        best = min(tries, key=lambda t: t.score)
-        levels = [short]
-        if not np.isfinite(best.score):
-            return levels, best
-        best = short.climb(best)
-        for rows in _LONGER_ROWS:
-            if rows is not None and rows >= problem.data.runs.lengths.max():
-                continue
-            level = _Level(problem.cut(rows), equations, price)
-            start = level.try_support(best.support, best.fit, best.by)
-            if not np.isfinite(start.score):
-                break
-            best = level.climb(start)
-            levels.insert(0, level)
-        return levels, best
-
-    def _proposals(
-        self, linear: LinearProblem, equations: Sequence[Support], price: float
-    ) -> tuple[list[int], list[int]]:
-        """Return what the optimizer chooses, and the best by the regression, each by equation.
-
-        For one equation all terms of the others are left free.
-        """
-        from pysindy import STLSQ
-
-        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
-        chosen, promising = [], []
-        for own in equations:
-            others = [i for each in equations if each is not own for i in each]
-            rest = linear.beside(others, own)
-            chosen += [own[i] for i in chosen_support(rest, optimizer)]
-            ranked = best_of_equation(rest, tuple(range(len(own))), (), price)
-            promising += [own[i] for i in min(ranked)[1]]
-        return chosen, promising
-
-    def _full(
-        self, problem: Collocation, rates: FloatArray, free: IndexArray
-    ) -> tuple[Fit, Collocation]:
-        """Fit the whole library on short segments, and with it the noise."""
-        x = _smooth(problem.data)
-        x[:, problem.hidden] = problem.data.y[:, problem.hidden]
-        theta = problem.features.values(x, problem.data.u)
-        n_terms, n_states = problem.known.shape
-        size = np.sqrt(np.mean(theta**2, axis=0))
-        prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
-        ridge = (prior.T.ravel()[free]) ** -2.0
-        scaled = theta / size
-        small = _START_RIDGE * len(scaled) * np.eye(n_terms)
-        target = scaled.T @ (rates - theta @ problem.known)
-        xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
-        fit = Fit(xi, x, np.inf, np.eye(free.size), False)
-        for rows in _FULL_ROWS:
-            fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
-        own = problem.cut(_FULL_ROWS[-1])
-        n_rows = len(problem.data.y)
-        starts = 1 + int(np.count_nonzero(~own.joined))
-        spent = starts + free.size / n_states
-        left = problem.data.y - fit.x
-        found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
-        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
-        noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
-        if np.isfinite(fit.chi2):
-            problem = Collocation(
-                problem.data, problem.features, noise, problem.known, problem.hidden
-            )
-            fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
-        return fit, problem
-
-    def _keep(self, problem: Collocation, searches: list[_Level], best: Tried[Fit]) -> None:
+    def _keep(self, searches: list[Level], best: Tried[Fit]) -> None:
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
+        problem = search.likelihood
         if not np.isfinite(best.score):
-            empty = search.likelihood.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            empty = problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
             best = Tried((), np.inf, empty, best.by)
         features, n_terms = problem.features, problem.known.shape[0]
-        self._features, self._noise_all = features, search.likelihood.noise
+        self._features, self._noise_all = features, problem.noise
+        self.noise_ = problem.noise[~problem.hidden]
         self.search_, self.best_ = search, best
         self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
@@ -464,7 +358,7 @@ class SparseDynamics(BaseEstimator):
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
-        self.state_ = self._state(problem, best, search.likelihood)
+        self.state_ = self._state(problem, best)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -486,19 +380,18 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried[Fit], compared_on: Collocation) -> FitState:
+    def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
-        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
-        seen = np.maximum(_difference_noise(problem.data), floor)[~problem.hidden]
+        seen = problem.data.noise[~problem.hidden]
         above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
         white = _WHITE_SIGMAS / np.sqrt(len(left))
         if np.any((coloured > white) & above):
             return FitState.UNEXPLAINED
-        if compared_on.rows is not None:
+        if problem.rows is not None:
             return FitState.SHORT_RUNS_ONLY
         return FitState.OK if self.search == "full" else FitState.PROPOSED
 
@@ -513,19 +406,6 @@ def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
             found="a constant",
             remedy="leave the state out",
         )
-
-
-def _difference_noise(data: Trajectories) -> FloatArray:
-    """Return the noise that sixth differences show, which a sampled smooth signal hardly has."""
-    return np.array([difference_noise(y, data.runs, 6) for y in data.y.T])
-
-
-def _smooth(data: Trajectories) -> FloatArray:
-    result = np.empty_like(data.y)
-    for j, noise in enumerate(_difference_noise(data)):
-        for rows in data.runs.slices():
-            result[rows, j] = smoothed(data.y[rows, j], float(noise))
-    return result
 
 
 def _check_names(names: Sequence[str], wanted: int) -> None:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
+# Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
+# five standard deviations.
+LEAST_NOISE = 3.5e-4
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,20 @@ class Trajectories:
     def step_s(self) -> FloatArray:
         """Time from each row to the next, (n_rows - 1,); meaningless between trajectories."""
         return np.diff(self.time_s)
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Noise of each state that sixth differences show, which a smooth signal hardly has."""
+        shown = [difference_noise(y, self.runs, 6) for y in self.y.T]
+        return np.asarray(np.maximum(shown, LEAST_NOISE * np.std(self.y, axis=0)))
+
+    def smooth(self) -> FloatArray:
+        """Return the states, smoothed as far as their noise asks for."""
+        result = np.empty_like(self.y)
+        for j, noise in enumerate(self.noise.tolist()):
+            for rows in self.runs.slices():
+                result[rows, j] = smoothed(self.y[rows, j], noise)
+        return result
 
     def within(self, rows: int | None = None) -> BoolArray:
         """Return whether a row and the next belong together, (n_rows - 1,).
