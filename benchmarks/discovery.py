@@ -6,6 +6,10 @@ coefficients, the time, and beside it pysindy with the best of its optimizers an
 picked with the truth at hand. On a miss it says what lacked: "search" where the true support
 scores better than what was found, "data" where it does not.
 
+`lorenz_odr_bindy` is the Lorenz case of ODR-BINDy (Fung 2025, arXiv 2507.23426, Lorenz_heatmap.m):
+one trajectory of 1 000 rows, terms to degree 2, noise as a share of the standard deviation of all
+states together.
+
     python benchmarks/discovery.py [--systems NAME…] [--noise 0.01 0.02 0.05] [--seeds 20]
         [--first-seed N] [--jobs N] [--no-pysindy] [--json FILE]
 """
@@ -58,6 +62,10 @@ class System:
         The input u at a time.
     hidden : str
         A state that is not measured, with the equation of the first state known; may be empty.
+    n_runs, n_rows : int
+        Trajectories, and rows of each.
+    pooled : bool
+        Whether noise is a share of the standard deviation of all states together.
     """
 
     states: tuple[str, ...]
@@ -69,6 +77,9 @@ class System:
     library: Callable[[], Any] = lambda: ps.PolynomialLibrary(degree=3)
     force: Callable[[Any], Any] | None = None
     hidden: str = ""
+    n_runs: int = N_TRAJECTORIES
+    n_rows: int = N_ROWS
+    pooled: bool = False
 
 
 def _with_root(state: int, n_states: int) -> Any:
@@ -218,24 +229,35 @@ SYSTEMS = {
         ),
     ),
 }
+PUBLISHED_START = (-8.0, 8.0, 27.0)
+SYSTEMS["lorenz_odr_bindy"] = replace(
+    SYSTEMS["lorenz"],
+    low=PUBLISHED_START,
+    high=PUBLISHED_START,
+    library=lambda: ps.PolynomialLibrary(degree=2),
+    n_runs=1,
+    n_rows=1000,
+    pooled=True,
+)
 
 
 def measured(system: System, noise: float, seed: int) -> tuple[Any, ...]:
     """Return noisy trajectories, times and inputs."""
     rng = np.random.default_rng([seed, 10])
-    times = np.arange(N_ROWS) * system.step_s
+    times = np.arange(system.n_rows) * system.step_s
     force = system.force
 
     def rate(t: float, x: Any) -> Any:
         return system.rate(t, x, 0.0 if force is None else force(t))
 
     runs = []
-    while len(runs) < N_TRAJECTORIES:
+    while len(runs) < system.n_runs:
         start = rng.uniform(system.low, system.high)
         run = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-9, atol=1e-11)
         if run.success and np.abs(run.y).max() < 1e3:
             runs.append(run.y.T)
-    rms = np.sqrt(np.mean(np.concatenate(runs) ** 2, axis=0))
+    every = np.concatenate(runs)
+    rms = np.std(every) if system.pooled else np.sqrt(np.mean(every**2, axis=0))
     noisy = [run + noise * rms * rng.standard_normal(run.shape) for run in runs]
     inputs = None if force is None else [force(times)[:, None] for _ in runs]
     return noisy, times, inputs

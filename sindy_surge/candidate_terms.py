@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.library import StallLibrary, default_library, hinge_name
-from sindy_surge.state_terms import ProductStateTerms
+from sindy_surge.state_terms import PhysicalForm, ProductStateTerms, physical_form
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -45,10 +45,8 @@ class CandidateTerms:
         output_name: str = "psi_p",
     ) -> None:
         chosen = default_library(X) if library is None else library
-        self._library = _fitted(copy.deepcopy(chosen), X)
-        n_terms = self._of_inputs(X[:1], strict=False).shape[1]
+        self._library, self._own_names = fitted_library(chosen, X, input_names)
         self.input_names = tuple(input_names)
-        self._own_names = _term_names(self._library, input_names, n_terms)
         self._extra: tuple[float, ...] = ()
         self.states: ProductStateTerms | None = None
         if psi_p is not None and len(input_names) <= _MOST_INPUTS_WITH_STATE:
@@ -70,6 +68,20 @@ class CandidateTerms:
     def n_without_state(self) -> int:
         """Number of terms that do not hold ψ'."""
         return len(self._own_names) + len(self._extra)
+
+    def written(
+        self,
+        selected: NDArray[np.intp],
+        coefficients: FloatArray,
+        time_constant_s: float = 1.0,
+        covariance: FloatArray | None = None,
+    ) -> PhysicalForm:
+        """Return a structure in ψ' itself, with the covariance of its coefficients and τ."""
+        names = [self.names[i] for i in selected]
+        if covariance is None:
+            covariance = np.zeros((len(names) + 1, len(names) + 1))
+        given = names, coefficients, time_constant_s, covariance
+        return physical_form(*given, self.states, self.input_names)
 
     def physical(self) -> CandidateTerms:
         """Return the library with terms in ψ' itself, as their names say."""
@@ -152,26 +164,37 @@ class CandidateTerms:
         return result
 
 
-def _fitted(library: Any, X: FloatArray) -> Any:
-    """Fit a library, or refuse what is none."""
-    if not (hasattr(library, "fit") and hasattr(library, "transform")):
+def fitted_library(
+    library: Any, X: FloatArray, input_names: Sequence[str]
+) -> tuple[Any, tuple[str, ...]]:
+    """Fit a copy of a library to inputs (n_rows, n_inputs), and name its terms.
+
+    Raises
+    ------
+    InputError
+        If it is none, or does not take such inputs.
+    """
+    try:
+        # CustomLibrary keeps its functions where sklearn's clone does not look.
+        with np.errstate(all="ignore"):
+            fitted = copy.deepcopy(library).fit(X)
+            n_terms = np.shape(fitted.transform(X[:1]))[1]
+    except (AttributeError, TypeError, ValueError) as error:
         raise InputError(
             "library",
-            expected="a pysindy feature library or a scikit-learn transformer",
-            found=type(library).__name__,
-        )
-    return library.fit(X)
-
-
-def _term_names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
-    if hasattr(library, "get_feature_names"):
-        names = library.get_feature_names(input_names)
-    elif hasattr(library, "get_feature_names_out"):
-        names = library.get_feature_names_out(np.asarray(input_names, dtype=object))
+            expected="a pysindy feature library or a scikit-learn transformer that takes the "
+            "inputs",
+            found=f"{type(library).__name__}: {error}",
+            remedy="a function in it must be written in Python, as lambda x: np.sin(x)",
+        ) from error
+    if hasattr(fitted, "get_feature_names"):
+        names = fitted.get_feature_names(list(input_names))
+    elif hasattr(fitted, "get_feature_names_out"):
+        names = fitted.get_feature_names_out(np.asarray(input_names, dtype=object))
     else:
         names = [f"s{i}" for i in range(n_terms)]
     # pysindy and scikit-learn write a product as "a b".
-    return tuple(str(name) for name in names)
+    return fitted, tuple(str(name) for name in names)
 
 
 def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[np.intp]:

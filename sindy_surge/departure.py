@@ -29,33 +29,20 @@ _ENDS = (0.15, 0.9)
 
 @dataclass(frozen=True)
 class Departure:
-    """What speaks against the parabola.
+    """What speaks against the parabola."""
 
-    Parameters
-    ----------
-    finding : {"kink", "kink or cubic", "undecidable"}
-        What the curve has beside a parabola; undecidable where no more is saved than a needless
-        term may save.
-    gain, needed : float
-        √(squared error saved / squared error of the parabola) at the best term, and what a
-        departure takes.
-    structure : tuple of int
-        The terms.
-    rivals : tuple of tuple of int
-        Structures that the data do not separate from it.
-    cubic : tuple of float
-        Coefficients of φ³ beside the parabola that save no more than a needless term may.
-    tried : tuple of tuple of int
-        The structures that were compared.
-    """
-
+    # {"kink", "kink or cubic", "undecidable"}: What the curve has beside a parabola; undecidable
+    # where no more is saved than a needless term may save
     finding: str
+    # √(squared error saved / squared error of the parabola) at the best term, and what a departure
+    # takes
     gain: float
     needed: float
-    structure: Support
-    rivals: tuple[Support, ...]
+    structure: Support  # The terms
+    rivals: tuple[Support, ...]  # Structures that the data do not separate from it
+    # Coefficients of φ³ beside the parabola that save no more than a needless term may
     cubic: tuple[float, float]
-    tried: tuple[Support, ...]
+    tried: tuple[Support, ...]  # The structures that were compared
 
     @property
     def text(self) -> str:

@@ -15,20 +15,11 @@ _SMALL_STEP = 1e-5
 
 @dataclass(frozen=True)
 class Features:
-    """Terms along the record.
+    """Terms along the record."""
 
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_columns)
-        The terms.
-    slopes : ndarray of shape (n_inputs, n_rows, n_columns)
-        Derivatives with respect to each input.
-    state_slopes : ndarray of shape (n_rows, n_columns)
-        Derivatives with respect to ψ'; zero where no state was given.
-    """
-
-    values: FloatArray
-    slopes: FloatArray
+    values: FloatArray  # (n_rows, n_columns): The terms
+    slopes: FloatArray  # (n_inputs, n_rows, n_columns): Derivatives with respect to each input
+    # (n_rows, n_columns): Derivatives with respect to ψ'; zero where no state was given
     state_slopes: FloatArray
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.segments import Segments
@@ -124,6 +126,23 @@ class FreeModel:
         step = _STEP * max(1.0, float(np.max(np.abs(psi_p), initial=0.0)))
         above, below = self.forcing(inputs, psi_p + step), self.forcing(inputs, psi_p - step)
         return (above - below) / (2 * step)
+
+    def rate(self, psi_p: ArrayLike, *inputs: ArrayLike) -> Any:
+        """Return dψ'/dt = (Σ β_i s_i(φ(t - d), ψ') - ψ')/τ in 1/s, of the inputs' common shape.
+
+        Parameters
+        ----------
+        psi_p : float or array-like
+            Pressure coefficient now.
+        *inputs : float or array-like
+            φ, or every input in the order of the columns, the dead time ago.
+        """
+        given = (np.asarray(values, dtype=np.float64) for values in (psi_p, *inputs))
+        state, *columns = np.broadcast_arrays(*given)
+        flat = state.ravel()
+        forcing = self.forcing(np.column_stack([column.ravel() for column in columns]), flat)
+        rates = (forcing - flat) / self.lag.tau_s
+        return rates.reshape(state.shape) if state.ndim else float(rates[0])
 
     def at_rest(self, inputs: FloatArray) -> FloatArray:
         """Return the ψ' at which nothing changes, by Newton's method; nan where there is none."""

@@ -44,32 +44,17 @@ class FreeRunEquations:
     What is not scored is simulated through. The start of each run is a parameter of its own,
     and projected out; all that enters linearly is solved for at each τ (variable projection,
     Golub & Pereyra 1973).
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        The candidate terms s_i.
-    nuisance : ndarray of shape (n_rows, n_nuisances)
-        Columns that are in every structure; may have none.
-    output : ndarray of shape (n_rows,)
-        ψ'.
-    weight : ndarray of shape (n_rows,)
-        Weight of each squared error; rows of weight 0 are simulated through.
-    runs : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the columns run between two samples.
     """
 
-    columns: FloatArray
+    columns: FloatArray  # (n_rows, n_columns): The candidate terms s_i
+    # (n_rows, n_nuisances): Columns that are in every structure; may have none
     nuisance: FloatArray
-    output: FloatArray
+    output: FloatArray  # (n_rows,): ψ'
+    # (n_rows,): Weight of each squared error; rows of weight 0 are simulated through
     weight: FloatArray
-    runs: Segments
-    sample_period_s: float
-    hold: Hold
+    runs: Segments  # The runs of rows
+    sample_period_s: float  # Sample period in seconds
+    hold: Hold  # {"first", "zero"}: How the columns run between two samples
 
     @property
     def longest_lag_s(self) -> float:
@@ -110,6 +95,15 @@ class FreeRunEquations:
         solution, joint, residual = self._at(values, tau)
         n = len(support)
         return FreeRunFit(np.append(solution[:n], tau), solution[n:], joint, residual)
+
+    def solve_all(self) -> FreeRunFit:
+        """Fit all terms and τ."""
+        return self.solve(tuple(range(self.columns.shape[1])))
+
+    def coefficients(self, time_constant_s: float) -> FloatArray:
+        """Return the coefficients of nuisances and all terms at one τ in seconds."""
+        stacked = self._stacked(time_constant_s, self._all_values)
+        return least_squares(stacked[:, :-1], stacked[:, -1])
 
     def simulated(self, time_constant_s: float) -> FloatArray:
         """Return what each candidate contributes to the scored rows, for one τ in seconds.

@@ -12,9 +12,9 @@ from sindy_surge.constraints import Constraints
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support, leave_out_moves, unit_norms
 from sindy_surge.preparation import Prepared
+from sindy_surge.search import proposals
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import proposals
 from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
 from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
@@ -49,29 +49,18 @@ class Equations(Protocol):
 
 @dataclass
 class Trials:
-    """Held-out errors of the structures tried.
+    """Held-out errors of the structures tried."""
 
-    Parameters
-    ----------
-    equations : Equations
-        What is fitted.
-    blocks : list of tuple of two ndarray of int
-        What is left out in turn: the equations that any row of a block enters, and those on which
-        the fit without them is scored.
-    most_leverage : float
-        A block that holds more than this share of the information on some parameter is not
-        scored: without it the parameter would be a guess. From 0 to 1; 1 scores all.
-    errors : dict
-        Mean square error of each block's equations, NaN where not scored, by structure.
-    lags : dict
-        τ in seconds, by structure.
-    """
-
-    equations: Equations
+    equations: Equations  # What is fitted
+    # What is left out in turn: the equations that any row of a block enters, and those on which the
+    # fit without them is scored
     blocks: list[tuple[IndexArray, IndexArray]]
+    # A block that holds more than this share of the information on some parameter is not scored:
+    # without it the parameter would be a guess. From 0 to 1; 1 scores all
     most_leverage: float = 1.0
+    # Mean square error of each block's equations, NaN where not scored, by structure
     errors: dict[Support, FloatArray] = field(default_factory=dict)
-    lags: dict[Support, float] = field(default_factory=dict)
+    lags: dict[Support, float] = field(default_factory=dict)  # τ in seconds, by structure
 
     def error(self, support: Support) -> FloatArray:
         """Return the mean square error of each block's equations, fitted without that block."""
@@ -223,7 +212,6 @@ def select_by_held_out(
     problem: LagProblem,
     optimizer: Any,
     max_terms: int,
-    degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
@@ -241,15 +229,7 @@ def select_by_held_out(
     segments and the fast part of the error, both of which a free run or a one-step fit
     takes for dynamics.
 
-    Parameters
-    ----------
-    degrees : sequence of int or None
-        Total degree of each usable term; None for a term that is no polynomial.
-
-    Returns
-    -------
-    HeldOutFit or None
-        None if the segments are too short for the weak form, or the structure chosen gives no lag.
+    None if the segments are too short for the weak form, or the structure chosen gives no lag.
     """
     weak = WeakEquations.of(problem)
     if weak is None:
@@ -266,7 +246,7 @@ def select_by_held_out(
         return held and constraints.allow(support, weak.fit(support)[0][:-1])
 
     proposed = [s for s in proposals(linear, optimizer, max_terms, required) if admitted(s)]
-    ladder = [s for s in polynomial_ladder(degrees, max_terms) if admitted(s)]
+    ladder = [s for s in polynomial_ladder(problem.degrees, max_terms) if admitted(s)]
     if len(ladder) < _FEWEST_RUNGS:
         ladder = best_of_each_size(linear, proposed)
     if not ladder:

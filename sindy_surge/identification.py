@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
@@ -27,6 +26,7 @@ from sindy_surge.noise import autoregression
 from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
+from sindy_surge.state_terms import PhysicalForm
 from sindy_surge.uncertainty import sandwich
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
@@ -85,15 +85,62 @@ class Identified:
             return FitState.LAG_UNDETERMINED
         return self.state
 
+    def form(self) -> PhysicalForm:
+        """Return the structure as it is written."""
+        model = self.model
+        given = model.selected, model.coefficients, model.lag.tau_s, self.covariance
+        return self.problem.terms.written(*given)
 
-def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
+    def written(self, form: PhysicalForm) -> FreeModel:
+        """Return the model as it is written: powers of ψ' itself, which the search centres."""
+        terms = self.problem.terms.physical()
+        return replace(
+            self.model,
+            terms=terms,
+            selected=np.array([terms.names.index(name) for name in form.names], dtype=np.intp),
+            coefficients=form.coefficients,
+            lag=replace(self.model.lag, tau_s=form.time_constant_s),
+        )
+
+    def cautions(self, state: FitState) -> tuple[str, ...]:
+        """Say what a user should know before the numbers are used."""
+        problem, dead_time_s = self.problem, self.model.lag.dead_time_s
+        sentences = [] if state is FitState.OK else [state.advice]
+        if abs(dead_time_s) > 2 * self.dead_time_stderr_s > 0:
+            late, early = ("ψ'", "φ") if dead_time_s > 0 else ("φ", "ψ'")
+            sentences.append(
+                f"{late} was measured {abs(dead_time_s) * 1e3:.3g} ms later than {early} "
+                f"(standard error {self.dead_time_stderr_s * 1e3:.2g} ms): look for a sample of "
+                "misalignment, or the wrong `hold`, which is half of one"
+            )
+        for knot in self.knots:
+            sentences.append(
+                f"a kink sits at {knot.knot:g} (standard error {knot.stderr:.2g}), between the "
+                "knots of the library; a hinge was added there, and the errors allow for it"
+            )
+        gain, lag = problem.mean_gain(self.model), self.model.lag
+        if gain != 0.0:
+            sentences.append(
+                "the structure holds ψ', and τ is that of the equation as written; about the mean "
+                f"point of the record the lag is {lag.tau_s / (1 - gain) * 1e3:.3g} ms, "
+                "which other powers of ψ' share"
+            )
+        if problem.noise.colour.size and state is not FitState.MODEL_ERROR_DOMINATES:
+            sentences.append(
+                f"the noise is coloured (autoregression of order {problem.noise.colour.size}) and "
+                "was whitened for it; a missing effect can look the same"
+            )
+        return tuple(sentences)
+
+
+def identify(problem: LagProblem, choices: Choices) -> Identified:
     """Search the structure of a record and estimate its parameters."""
-    search = _searched(problem, choices, input_names)
+    search = _searched(problem, choices)
     if search.prepared.problem.fits_dead_time:
         on_time = _on_time(choices, search)
-        search = _simpler(search, _searched(problem, on_time, input_names, may_be_late=False))
+        search = _simpler(search, _searched(problem, on_time, may_be_late=False))
     if search.may_lack_a_knot:
-        search = _with_knots(search, choices, input_names)
+        search = _with_knots(search, choices)
     robust = None
     if model_error_dominates(search.prepared, search.found.consistent):
         robust = _by_held_out(search, choices)
@@ -107,26 +154,23 @@ class _Searched:
     whole: LagProblem
     prepared: Prepared
     found: Selection
-    names: list[str]
-    degrees: list[int | None]
     constraints: Constraints
     knots: tuple[MovedKnot, ...] = ()
 
     @property
     def may_lack_a_knot(self) -> bool:
         """A hinge in the structure, a large one, or none that stands."""
-        support = self.found.fit.support
-        if not any("relu(" in name for name in self.names):
+        support, names = self.found.fit.support, self.prepared.problem.every_name
+        if not any("relu(" in name for name in names):
             # A library without hinges is not meant to have kinks.
             return False
-        kinked = any("relu(" in self.names[i] for i in support)
+        kinked = any("relu(" in names[i] for i in support)
         return kinked or len(support) > _LARGE or not self.found.consistent
 
 
 def _searched(
     problem: LagProblem,
     choices: Choices,
-    input_names: Sequence[str],
     knots: tuple[MovedKnot, ...] = (),
     *,
     may_be_late: bool = True,
@@ -134,12 +178,9 @@ def _searched(
     library = problem.terms.names
     columns, constraints = constraints_of(choices.constraints, library, problem.columns)
     prepared = prepare(replace(problem, columns=columns), constraints.required, may_be_late)
-    usable = prepared.problem.columns
-    _, constraints = constraints_of(choices.constraints, library, usable)
-    names = [library[i] for i in usable]
-    degrees = [polynomial_degree(name, input_names) for name in names]
-    found = select_structure(prepared, choices.optimizer, choices.max_terms, degrees, constraints)
-    return _Searched(problem, prepared, found, names, degrees, constraints, knots)
+    _, constraints = constraints_of(choices.constraints, library, prepared.problem.columns)
+    found = select_structure(prepared, choices.optimizer, choices.max_terms, constraints)
+    return _Searched(problem, prepared, found, constraints, knots)
 
 
 def _on_time(choices: Choices, late: _Searched) -> Choices:
@@ -161,7 +202,7 @@ def _simpler(late: _Searched, on_time: _Searched) -> _Searched:
     cost nothing.
     """
     n = min(s.found.fit.residual.size for s in (late, on_time))
-    penalty = information_penalty(n, len(late.names))
+    penalty = information_penalty(n, late.prepared.problem.columns.size)
 
     def rank(search: _Searched) -> tuple[bool, float]:
         fit, prepared = search.found.fit, search.prepared
@@ -175,7 +216,7 @@ def _simpler(late: _Searched, on_time: _Searched) -> _Searched:
     return min(late, on_time, key=rank)
 
 
-def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str]) -> _Searched:
+def _with_knots(search: _Searched, choices: Choices) -> _Searched:
     """Search again with hinges off the grid, and keep what comes out if it stands."""
     problem, fit = search.prepared.problem, search.found.fit
     knots = moved_knots(problem, fit, search.constraints.required)
@@ -183,7 +224,7 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
         return search
     wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
     late = problem.fits_dead_time
-    again = _searched(wide, choices, input_names, knots, may_be_late=late)
+    again = _searched(wide, choices, knots, may_be_late=late)
     stands = again.found.consistent and not model_error_dominates(again.prepared, True)
     first = again.prepared.problem.n_without_state - len(knots)
     uses = any(i >= first for i in again.found.fit.support)
@@ -191,7 +232,8 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
 
 
 def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
-    prepared, found, names = search.prepared, search.found, search.names
+    prepared, found = search.prepared, search.found
+    names = prepared.problem.every_name
     problem, fit = _colour_again(prepared.problem, found.fit)
     inclusion: dict[str, float] = {}
     equations = white_equations(problem, fit)
@@ -280,9 +322,7 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     # A dead time is tested against noise, of which there is next to none: an error of the model
     # passed for it.
     problem = search.prepared.problem.with_dead_time(0.0, False)
-    fit = select_by_held_out(
-        problem, choices.optimizer, choices.max_terms, search.degrees, search.constraints
-    )
+    fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.constraints)
     if fit is None:
         return None
     beta, tau = fit.parameters[:-1], float(fit.parameters[-1])
@@ -292,7 +332,7 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
         0.0,
         fit.covariance,
         FitState.MODEL_ERROR_DOMINATES,
-        with_held_out(search.found.path, fit.trials, fit.support, search.names),
+        with_held_out(search.found.path, fit.trials, fit.support, problem.every_name),
         (),
         {},
         (),

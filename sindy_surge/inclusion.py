@@ -8,7 +8,7 @@ import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
 from sindy_surge.linear_problem import unit_norms, without_nuisances
-from sindy_surge.sparse_paths import beam_search
+from sindy_surge.search import beam_search
 from surge_core.types import FloatArray
 
 # Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when

@@ -12,8 +12,8 @@ from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.library import hinge_name
 from sindy_surge.linear_problem import LinearProblem, Support
+from sindy_surge.search import beam_search
 from sindy_surge.selection import information_penalty
-from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
 # Knots tried over the range of φ; between two of them a hinge is placed to within a

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sindy_surge.features import features
-from sindy_surge.free_run import driven, run_lag
+from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.lag_equations import (
     Equations,
     Point,
@@ -98,7 +98,7 @@ def fit_structure(
     if beta is None:
         blur = problem.noise.inputs.copy()
         values = features(problem, problem.inputs, blur, support).values
-        beta = output_error(problem, values, tau)[1]
+        beta = plain_free_run(problem, values).coefficients(tau)
     point = start_point(problem, tau, beta)
     if near is not None:
         low, high = problem.dead_time_range_s
@@ -263,53 +263,26 @@ def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
     return WhiteEquations(white[:, n:-1], white[:, :n], white[:, -1], rows)
 
 
-def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
-    """Set up the regression on the whole library about one fit, whitened and compressed."""
-    return white_equations(problem, fit).compressed()
-
-
-def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[float, FloatArray]:
-    """Return the sum of squares and β of the plain free run, initial states projected out.
+def plain_free_run(problem: LagProblem, values: FloatArray | None = None) -> FreeRunEquations:
+    """Return the free run of terms at the measured inputs, all noise in ψ'.
 
     Parameters
     ----------
-    values : ndarray of shape (n_rows, n_terms)
-        Terms at the measured inputs.
-    tau : float
-        τ in seconds.
+    values : ndarray of shape (n_rows, n_terms), optional
+        The terms; the simplest of the library by default: six follow any characteristic well
+        enough to find the basin of τ.
     """
-    usable = problem.usable
-    lag = problem.lag(tau, problem.dead_time_s)
-    drive = np.zeros((usable.rows.size, values.shape[1]))
-    drive[usable.later] = driven(lag, values, usable.ends)
-    states = run_lag(drive, usable.segments, lag.a)
-    stacked = np.column_stack((states, problem.output[usable.rows]))
-    decay = lag.a ** usable.segments.offsets().astype(float)
-    power = np.add.reduceat(decay**2, usable.segments.starts)
-    share = np.add.reduceat(decay[:, None] * stacked, usable.segments.starts, axis=0)
-    share /= power[:, None]
-    stacked = stacked - decay[:, None] * np.repeat(share, usable.segments.lengths, axis=0)
-    beta = least_squares(stacked[:, :-1], stacked[:, -1])
-    residual = stacked[:, -1] - stacked[:, :-1] @ beta
-    return float(residual @ residual), beta
-
-
-def scan_lag(problem: LagProblem) -> float:
-    """Find τ of the plain free run with the simplest terms, by a scan and one refinement."""
-    from scipy.optimize import minimize_scalar
-
-    # Six terms follow any characteristic well enough to find the basin of τ.
-    most = min(6, max(1, problem.usable.later.size // 4), problem.n_without_state)
-    few = problem.columns[:most]
-    values = problem.terms(problem.inputs, wanted=few.tolist())
-    grid = np.geomspace(0.1 * problem.sample_period_s, problem.longest_lag_s, 16)
-    costs = [output_error(problem, values, float(tau))[0] for tau in grid]
-    best = int(np.argmin(costs))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
-    refined = minimize_scalar(
-        lambda v: output_error(problem, values, float(np.exp(v)))[0],
-        bounds=(np.log(low), np.log(high)),
-        method="bounded",
-        options={"xatol": 1e-3},
+    if values is None:
+        most = min(6, max(1, problem.usable.later.size // 4), problem.n_without_state)
+        values = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
+    weight = np.zeros(problem.output.size)
+    weight[problem.usable.rows] = 1.0
+    return FreeRunEquations(
+        problem.late(values),
+        np.empty((weight.size, 0)),
+        problem.output,
+        weight,
+        problem.segments,
+        problem.sample_period_s,
+        problem.hold,
     )
-    return float(np.exp(refined.x)) if refined.fun <= costs[best] else float(grid[best])

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sindy_surge.candidate_terms import CandidateTerms
+from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
 from sindy_surge.free_run import FreeModel
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
@@ -79,6 +79,16 @@ class LagProblem:
     def names(self, support: Sequence[int]) -> list[str]:
         """Return the names of some usable terms."""
         return [self.terms.names[i] for i in self.columns[list(support)]]
+
+    @cached_property
+    def every_name(self) -> list[str]:
+        """Names of all usable terms."""
+        return self.names(range(self.columns.size))
+
+    @cached_property
+    def degrees(self) -> list[int | None]:
+        """Degrees of the usable terms; None for those that are no polynomials of the inputs."""
+        return [polynomial_degree(name, self.terms.input_names) for name in self.every_name]
 
     def lag(self, time_constant_s: float, dead_time_s: float = 0.0) -> FirstOrderLag:
         """Return the discrete lag for one τ and dead time, in seconds."""

@@ -70,18 +70,14 @@ class StallLibrary:
 
     def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
         """Evaluate the terms at some positions: (n_rows, n_inputs) to (n_rows, n_wanted)."""
-        columns = np.ones((x.shape[0], len(wanted)), order="F")
-        # Products, one degree after the other: numpy's power takes ten times as long.
-        chains = np.ones((self.degree + 1, *x.T.shape))
-        for power in range(1, self.degree + 1):
-            np.multiply(chains[power - 1], x.T, out=chains[power])
+        n_powers = len(self._powers)
+        columns = np.empty((x.shape[0], len(wanted)), order="F")
+        plain = [number for number, position in enumerate(wanted) if position < n_powers]
+        columns[:, plain] = monomials(x, self._powers[[wanted[number] for number in plain]])
         for number, position in enumerate(wanted):
-            if position < len(self._powers):
-                exponents = self._powers[position]
-                for own in np.flatnonzero(exponents):
-                    columns[:, number] *= chains[exponents[own], own]
+            if position < n_powers:
                 continue
-            j, kind, value = self._special[position - len(self._powers)]
+            j, kind, value = self._special[position - n_powers]
             if kind == "hinge":
                 columns[:, number] = np.maximum(x[:, j] - value, 0.0)
             elif kind == "reverse":
@@ -102,6 +98,38 @@ class StallLibrary:
             }
             names.append(written[kind])
         return names
+
+
+def monomials(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
+    """Return Π_j x_j^p_ij of shape (n_rows, n_terms).
+
+    Parameters
+    ----------
+    x : ndarray of shape (n_rows, n_inputs)
+        The factors.
+    powers : ndarray of int of shape (n_terms, n_inputs)
+        Their exponents.
+    """
+    columns = np.ones((x.shape[0], len(powers)), order="F")
+    # Products, one degree after the other: numpy's power takes ten times as long.
+    chains = np.ones((int(powers.max(initial=0)) + 1, *x.T.shape))
+    for power in range(1, len(chains)):
+        np.multiply(chains[power - 1], x.T, out=chains[power])
+    for number, exponents in enumerate(powers):
+        for own in np.flatnonzero(exponents):
+            columns[:, number] *= chains[exponents[own], own]
+    return columns
+
+
+def power_name(name: str, power: int) -> str:
+    """Return the name of a power, e.g. ``phi`` or ``phi^2``."""
+    return name if power == 1 else f"{name}^{power}"
+
+
+def monomial_name(names: Sequence[str], powers: Sequence[int]) -> str:
+    """Return the name of a product of powers, e.g. ``1`` or ``psi_p phi^2``."""
+    factors = zip(names, powers, strict=True)
+    return " ".join(power_name(name, power) for name, power in factors if power) or "1"
 
 
 def hinge_name(name: str, knot: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,16 @@ class LinearProblem:
     def score(self, support: Support, penalty: float) -> float:
         """Return χ² in units of the variance that all terms leave, and what the terms cost."""
         return self.chi2(support) / self.variance + penalty * len(support)
+
+    def beside(self, kept: Sequence[int], others: Sequence[int]) -> LinearProblem:
+        """Return the regression on other terms where some are in every structure."""
+        chosen = list(others)
+        rest = without_nuisances(
+            self.columns[:, list(kept)], self.columns[:, chosen], self.target, self.n_equations
+        )
+        return replace(
+            rest, norms=rest.norms * self.norms[chosen], outside=rest.outside + self.outside
+        )
 
     def coefficients(self, support: Support) -> FloatArray:
         """Return the coefficients of some terms, in units of the columns before scaling."""

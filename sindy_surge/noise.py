@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 
@@ -26,17 +27,18 @@ class NoiseLevels:
     colour: FloatArray
 
 
-def difference_noise(signal: FloatArray, segments: Segments) -> float:
-    """Estimate the white noise of a smooth signal from its fourth differences.
+def difference_noise(signal: FloatArray, segments: Segments, order: int = 4) -> float:
+    """Estimate the white noise of a smooth signal from its differences of an even order.
 
-    The median absolute fourth difference over 0.6745 √70: the median passes over jumps. 0 if no
-    segment has five rows.
+    The median of their absolute values, which passes over jumps. 0 if no segment is longer than
+    the order.
     """
-    pieces = [np.diff(signal[rows], 4) for rows in segments.slices()]
+    pieces = [np.diff(signal[rows], order) for rows in segments.slices()]
     differences = np.concatenate(pieces) if pieces else np.empty(0)
     if differences.size == 0:
         return 0.0
-    return float(np.median(np.abs(differences)) / (0.6745 * np.sqrt(70.0)))
+    size = 0.6745 * np.sqrt(float(comb(2 * order, order)))
+    return float(np.median(np.abs(differences)) / size)
 
 
 class Whitener:

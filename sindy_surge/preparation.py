@@ -12,9 +12,8 @@ from sindy_surge.lag_equations import equations_about, start_point
 from sindy_surge.lag_fit import (
     StructureFit,
     fit_structure,
-    output_error,
+    plain_free_run,
     refitted,
-    scan_lag,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
@@ -25,7 +24,7 @@ from sindy_surge.linear_problem import (
     without_nuisances,
 )
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
-from sindy_surge.sparse_paths import beam_search
+from sindy_surge.search import beam_search
 from sindy_surge.uncertainty import sandwich
 from surge_core.types import FloatArray
 
@@ -65,7 +64,7 @@ def prepare(
     may_be_late : bool
         Test for a dead time, and fit it where it shows.
     """
-    tau = scan_lag(problem)
+    tau = float(plain_free_run(problem).solve_all().parameters[-1])
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
     everything = tuple(range(problem.n_without_state))
@@ -136,11 +135,10 @@ def _far_off(problem: LagProblem, fit: StructureFit) -> StructureFit:
         rows = trial.usable.later.size
         if rows < problem.usable.later.size // 2:
             continue
-        tau = scan_lag(trial)
-        few = trial.columns[: min(6, trial.n_without_state)].tolist()
-        values = trial.terms(trial.inputs, wanted=few)
-        cost = output_error(trial, values, tau)[0] / rows
+        plain = plain_free_run(trial).solve_all()
+        cost = float(np.mean(plain.residual**2))
         if cost < best:
+            tau = float(plain.parameters[-1])
             point = replace(
                 fit.point, dead_time_s=trial.dead_time_s, time_constant_s=tau, state=None
             )
@@ -195,7 +193,7 @@ def _noise(problem: LagProblem, tau: float) -> NoiseLevels:
     clean = replace(problem, noise=silent)
     everything = tuple(range(problem.n_without_state))
     values = features(clean, problem.inputs, silent.inputs, everything).values
-    beta = output_error(clean, values, tau)[1]
+    beta = plain_free_run(clean, values).coefficients(tau)
     eq = equations_about(clean, everything, start_point(clean, tau, beta))
     lag = problem.lag(tau, problem.dead_time_s)
     # Capped at their 95 % level: a fit with every term is wild at the ends of the range.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,23 +12,22 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.binding import LIMITS, Binding, binding_constraints
 from sindy_surge.candidate_terms import CandidateTerms, independent_columns
-from sindy_surge.checks import cautions_of, check_parameters, is_constant
+from sindy_surge.constraints import LIMITS, Binding, binding_constraints
 from sindy_surge.free_run import FreeModel
-from sindy_surge.identification import Choices, Identified, identify
+from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
-from sindy_surge.state_terms import PhysicalForm, physical_form
 from sindy_surge.summary import ModelSummary
-from sindy_surge.text import EquationParts, pysindy_equations, rate_of, write_equation
+from sindy_surge.text import EquationParts, pysindy_equations, write_equation
 from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
+from surge_core.validation import one_of, positive, whole_number
 
 # Equations that a lag with its simplest characteristic (1, φ) needs beside its own unknowns.
 _SPARE_EQUATIONS = 8
@@ -165,7 +163,10 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         InputError
             For parameters, labels or a library that cannot be used.
         """
-        check_parameters(self)
+        positive("sample_period_s", self.sample_period_s)
+        one_of("hold", self.hold, ("first", "zero"))
+        for name, least in (("max_terms", 1), ("n_bootstrap", 0)):
+            whole_number(name, getattr(self, name), least, 1_000_000)
         X_checked, y_checked = validate_data(
             self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
         )
@@ -186,9 +187,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         columns = independent_columns(values)
         equations = int(runs.later.size)
         if columns.size < 1 or equations < _SPARE_EQUATIONS + 3:
-            self._fit_static(values, y_checked, runs, FitState.TOO_FEW_ROWS)
-        elif is_constant(X_checked) or is_constant(y_checked[:, None]):
-            self._fit_static(values[:, columns], y_checked, runs, FitState.CONSTANT_SIGNAL, columns)
+            every = np.arange(values.shape[1])
+            self._fit_static(values, y_checked, FitState.TOO_FEW_ROWS, every)
+        elif _is_constant(X_checked) or _is_constant(y_checked[:, None]):
+            state = FitState.CONSTANT_SIGNAL
+            self._fit_static(values[:, columns], y_checked, state, columns)
         else:
             self._fit_lag(X_checked, y_checked, runs, columns)
         return self
@@ -202,7 +205,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         usable = np.concatenate((columns, with_state)).astype(np.intp)
         silent = NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0))
         problem = LagProblem(X, y, runs, period, self.hold, terms, usable, silent)
-        found = identify(problem, choices, self._input_names)
+        found = identify(problem, choices)
         noise, self._model = found.problem.noise, found.model
         self._candidates = found.problem.terms
         self.path_, self.rivals_ = found.path, found.rivals
@@ -211,36 +214,16 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
         self.candidate_terms_ = self._candidates.names
-        form = self._form(found)
+        form = found.form()
         self.terms_, self.coef_ = form.names, form.coefficients
         self.time_constant_s_ = form.time_constant_s
-        # As it is written: powers of ψ' itself, which the search holds centred.
-        physical = self._candidates.physical()
-        self._physical = replace(
-            found.model,
-            terms=physical,
-            selected=np.array([physical.names.index(name) for name in form.names], dtype=np.intp),
-            coefficients=form.coefficients,
-            lag=replace(found.model.lag, tau_s=form.time_constant_s),
-        )
+        self._physical = found.written(form)
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
         self.fit_state_ = found.fit_state()
         self.binding_ = self._binding(problem, choices)
-        self.cautions_ = cautions_of(found, self.fit_state_)
+        self.cautions_ = found.cautions(self.fit_state_)
         self.cautions_ += tuple(binding.text for binding in self.binding_)
-
-    def _form(self, found: Identified) -> PhysicalForm:
-        """Return a structure as it is written."""
-        terms, model = found.problem.terms, found.model
-        return physical_form(
-            [terms.names[i] for i in model.selected],
-            model.coefficients,
-            model.lag.tau_s,
-            found.covariance,
-            terms.states,
-            self._input_names,
-        )
 
     def _binding(self, problem: LagProblem, choices: Choices) -> tuple[Binding, ...]:
         """Return the constraints that what is found without them breaks."""
@@ -248,24 +231,23 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if not any(LIMITS.keys() & set(words.split()) for words in wishes.values()):
             return ()
         choices = replace(choices, constraints=None, n_bootstrap=0)
-        free = identify(problem, choices, self._input_names)
+        free = identify(problem, choices)
         # Not where the data cannot separate the two structures.
         alike = any(set(rival) == set(self.terms_) for rival in free.rivals)
-        return () if alike else binding_constraints(self._form(free), wishes)
+        return () if alike else binding_constraints(free.form(), wishes)
 
     def _fit_static(
         self,
         values: FloatArray,
         y: FloatArray,
-        runs: Segments,
         state: FitState,
-        columns: NDArray[np.intp] | None = None,
+        columns: NDArray[np.intp],
     ) -> None:
         """Fit ψ' = ψ'_QS(φ) with coefficients of least norm, each on its unit-size term."""
         norms = unit_norms(values)
         solution = np.linalg.lstsq(values / norms, y, rcond=1e-10)[0]
         kept = np.flatnonzero(np.abs(solution) > 1e-10 * max(np.abs(solution).max(), 1e-300))
-        selected = kept if columns is None else columns[kept]
+        selected = columns[kept]
         self.terms_ = tuple(self.candidate_terms_[i] for i in selected)
         self.coef_ = (solution / norms)[kept]
         self.covariance_ = np.full((kept.size, kept.size), np.nan)
@@ -426,9 +408,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For a static fit.
         """
         check_is_fitted(self)
-        parts = self._parts()
-        parts.rate_or_refuse()
-        return partial(rate_of, parts, self._physical.values)
+        self._parts().rate_or_refuse()
+        return self._physical.rate
 
     def _parts(self) -> EquationParts:
         return EquationParts(
@@ -472,3 +453,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         tags = super().__sklearn_tags__()
         tags.regressor_tags.poor_score = True
         return tags
+
+
+def _is_constant(values: FloatArray) -> bool:
+    """Return whether no column (n_rows, n_columns) changes but for rounding."""
+    spread = np.ptp(values, axis=0)
+    return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))

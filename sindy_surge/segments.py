@@ -16,18 +16,10 @@ from surge_core.types import IndexArray
 
 @dataclass(frozen=True)
 class Segments:
-    """Contiguous runs of rows, between which no equation is formed.
+    """Contiguous runs of rows, between which no equation is formed."""
 
-    Parameters
-    ----------
-    starts : ndarray of shape (n_segments,)
-        First row of each segment.
-    stops : ndarray of shape (n_segments,)
-        One past the last row of each segment.
-    """
-
-    starts: IndexArray
-    stops: IndexArray
+    starts: IndexArray  # (n_segments,): First row of each segment
+    stops: IndexArray  # (n_segments,): One past the last row of each segment
 
     @classmethod
     def from_labels(cls, labels: ArrayLike | None, n_rows: int) -> Segments:

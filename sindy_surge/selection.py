@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sindy_surge.constraints import Constraints
-from sindy_surge.lag_fit import StructureFit, fit_structure, linearise
+from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
+from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.preparation import Prepared
-from sindy_surge.sparse_paths import beam_search, proposals
-from sindy_surge.state_terms import PhysicalForm, physical_form
+from sindy_surge.search import Search, beam_search, best_of_equation, proposals
+from sindy_surge.state_terms import PhysicalForm
 from surge_core.types import FloatArray
 
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
@@ -26,42 +26,22 @@ _TIE_POLYNOMIAL = 9.0
 _MOST_FITS = 24
 # A smaller structure is fitted by itself if it is no worse than this about a larger one's fit.
 _MISJUDGED = 12.0
-# Supports of each size that are compared with a structure about its fit.
-_COMPARED = 5
 
 
 @dataclass(frozen=True)
 class PathRow:
-    """One line of the table of structures.
+    """One line of the table of structures."""
 
-    Parameters
-    ----------
-    size : int
-        Number of terms.
-    terms : tuple of str
-        Their names.
-    score : float
-        Extended BIC about the structure's own fit, or about the fit with all terms where τ is
-        nan. The lower the better, but only within one linearisation.
-    chi2 : float
-        Sum of the squared whitened residuals.
-    time_constant_s : float
-        τ of the structure's own fit in seconds; nan where it had none.
-    consistent : bool
-        Whether no other structure beats it about its own fit.
-    chosen : bool
-        Whether it is the answer.
-    held_out_rms : float
-        Error on cycles left out, in units of ψ', where these decide; else nan.
-    """
-
-    size: int
-    terms: tuple[str, ...]
+    size: int  # Number of terms
+    terms: tuple[str, ...]  # Their names
+    # Extended BIC about the structure's own fit, or about the fit with all terms where τ is nan.
+    # The lower the better, but only within one linearisation
     score: float
-    chi2: float
-    time_constant_s: float
-    consistent: bool
-    chosen: bool
+    chi2: float  # Sum of the squared whitened residuals
+    time_constant_s: float  # τ of the structure's own fit in seconds; nan where it had none
+    consistent: bool  # Whether no other structure beats it about its own fit
+    chosen: bool  # Whether it is the answer
+    # Error on cycles left out, in units of ψ', where these decide; else nan
     held_out_rms: float = float("nan")
 
 
@@ -87,7 +67,6 @@ def select_structure(
     prepared: Prepared,
     optimizer: Any,
     max_terms: int,
-    degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> Selection:
     """Choose the terms.
@@ -99,54 +78,82 @@ def select_structure(
     polynomial). What refutes a structure is proposed in its place. Of the smallest size that
     stands, the least χ² wins; within those margins, the structure with fewer terms that are not
     polynomials.
-
-    Parameters
-    ----------
-    degrees : sequence of int or None
-        Degrees of the usable terms; None for those that are no polynomials of the inputs. For the
-        tie rule.
     """
-    search = _Search(prepared, max_terms, degrees, constraints)
+    search = _Search(prepared, max_terms, constraints)
     search.propose(optimizer)
     search.run()
     chosen, rivals = search.choose()
-    standing = bool(search.consistent)
-    return Selection(search.fits[chosen], search.table(chosen), rivals, standing)
+    fit = search.tried[chosen].fit
+    return Selection(fit, search.table(chosen), rivals, bool(search.standing()))
 
 
-class _Search:
-    """The structures still to be tested, and what the tests said."""
+@dataclass(frozen=True)
+class _LagLikelihood:
+    """Whitened for noise on both channels; fits start from that of all terms."""
+
+    problem: LagProblem
+    rich: StructureFit
+    about: LinearProblem
+
+    def try_terms(self, support: Support, near: StructureFit) -> tuple[StructureFit, float]:
+        tau, beta = self.rich.time_constant_s, self.about.coefficients(support)
+        fit = fit_structure(self.problem, support, tau, beta, near=near)
+        return fit, fit.chi2
+
+    def regression(self, fit: StructureFit) -> LinearProblem:
+        return white_equations(self.problem, fit).compressed()
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """What the regression about a structure's own fit says of it."""
+
+    score: float
+    variance: float
+    stands: bool
+
+
+class _Search(Search[StructureFit]):
+    """The structures still to be tested, and what the tests said.
+
+    χ² of different fits are not compared: about a fit with a wild slope it is too low. What is
+    compared are structures about one fit, that of the smallest.
+    """
 
     def __init__(
         self,
         prepared: Prepared,
         max_terms: int,
-        degrees: Sequence[int | None],
         constraints: Constraints,
     ) -> None:
         self.problem, self.rich = prepared.problem, prepared.rich
-        self.max_terms, self.degrees, self.constraints = max_terms, degrees, constraints
-        self.about = linearise(self.problem, self.rich)
+        self.max_terms, self.constraints = max_terms, constraints
+        self.about = white_equations(self.problem, self.rich).compressed()
         # The same for every linearisation: as many equations and terms.
-        self.penalty = information_penalty(self.about.n_equations, self.about.columns.shape[1])
+        n_terms = self.about.columns.shape[1]
+        price = information_penalty(self.about.n_equations, n_terms)
+        free = tuple(i for i in range(n_terms) if i not in constraints.required)
+        super().__init__(_LagLikelihood(self.problem, self.rich, self.about), [free], price)
         self.rough: dict[Support, float] = {}
         self.queue: list[Support] = []
-        self.fits: dict[Support, StructureFit] = {}
-        self.scores: dict[Support, float] = {}
-        self.variances: dict[Support, float] = {}
-        self.consistent: list[Support] = []
+        self.tested: dict[Support, _Tested] = {}
+
+    def standing(self) -> list[Support]:
+        """Return the structures that no other refutes."""
+        return [support for support, tested in self.tested.items() if tested.stands]
 
     def propose(self, optimizer: Any) -> None:
         """Score the optimizer's structures about the fit with all terms, and queue the best."""
-        proposed = proposals(self.about, optimizer, self.max_terms, self.constraints.required)
+        required = self.constraints.required
+        proposed = proposals(self.about, optimizer, self.max_terms, required)
         if np.any(self.constraints.signs):
             # Look further down where the signs are not as asked for.
             found = {s for s in proposed if self._signed(s, self.about.coefficients(s))}
-            for ranked in self._beam(self.about, self.max_terms).values():
+            for ranked in beam_search(self.about, self.max_terms, required=required).values():
                 signed = [s for _, s in ranked if self._signed(s, self.about.coefficients(s))]
                 found.update(signed[:4])
             proposed = sorted(found, key=lambda s: (len(s), s)) or proposed
-        self.rough = {s: self.about.score(s, self.penalty) for s in proposed}
+        self.rough = {s: self.about.score(s, self.price) for s in proposed}
         self.queue = self._seeds(sorted(proposed, key=lambda s: self.rough[s]))
 
     def _seeds(self, ranked: list[Support]) -> list[Support]:
@@ -167,53 +174,42 @@ class _Search:
 
     def run(self) -> None:
         """Test what is queued, the smallest first, until no smaller structure can stand."""
-        tested: set[Support] = set()
-        while len(tested) < _MOST_FITS:
-            waiting = [s for s in self.queue if s not in tested]
-            if self.consistent:
-                smallest = min(len(s) for s in self.consistent)
+        while len(self.tested) < _MOST_FITS:
+            waiting = [s for s in self.queue if s not in self.tested]
+            if standing := self.standing():
+                smallest = min(map(len, standing))
                 waiting = [s for s in waiting if len(s) <= smallest]
             if not waiting:
                 return
-            support = min(waiting, key=lambda s: (len(s), self.rough.get(s, np.inf)))
-            tested.add(support)
-            self._test(support)
+            self._test(min(waiting, key=lambda s: (len(s), self.rough.get(s, np.inf))))
 
     def _test(self, support: Support) -> None:
         """Fit a structure, compare it with others about its own fit, and queue what that asks."""
-        fit = fit_structure(
-            self.problem,
-            support,
-            self.rich.time_constant_s,
-            self.about.coefficients(support),
-            near=self.rich,
+        fit = self.try_support(support, self.rich, "").fit
+        linear = self.likelihood.regression(fit)
+        own, size = linear.score(support, self.price), len(support)
+        required, (free,) = self.constraints.required, self.equations
+        most = self.max_terms + 1 - len(required)
+        others = sorted(
+            (score, other)
+            for score, other in best_of_equation(linear, free, required, self.price, most)
+            if other not in ((), support) and self._signed(other, linear.coefficients(other))
         )
-        self.fits[support] = fit
-        linear = linearise(self.problem, fit)
-        own = self.scores[support] = linear.score(support, self.penalty)
-        self.variances[support] = linear.variance
-        size, others = len(support), []
-        for ranked in self._beam(linear, self.max_terms + 1).values():
-            for chi2, other in ranked[:_COMPARED]:
-                score = chi2 / linear.variance + self.penalty * len(other)
-                if other != support and self._signed(other, linear.coefficients(other)):
-                    others.append((score, other))
         margin = self.margin(support)
         beating = [
             other
-            for score, other in sorted(others)
+            for score, other in others
             if len(other) >= size and score < own - (margin if len(other) == size else 0.0)
         ]
-        if not self._admits(fit):
-            return
-        if beating:
+        admitted = self._admits(fit)
+        asked: list[Support] = []
+        if admitted and beating:
             # The three best structures of φ alone and the best of all.
             without = [s for s in beating if not self.problem.holds_state(s)][:4]
             asked = [s for s in (beating[0], *without) if len(s) <= self.max_terms]
-        else:
-            first = all(size < len(s) for s in self.consistent)
-            asked = self._neighbours(own, size, sorted(others)) if first else []
-            self.consistent.append(support)
+        elif admitted and all(size < len(s) for s in self.standing()):
+            asked = self._neighbours(own, size, others)
+        self.tested[support] = _Tested(own, linear.variance, admitted and not beating)
         self.queue += [s for s in dict.fromkeys(asked) if s not in self.queue]
 
     def _neighbours(
@@ -228,12 +224,11 @@ class _Search:
         equal = [s for score, s in others if len(s) == size and score < own + 2.5 * _TIE]
         return smaller[:3] + equal[:4]
 
-    def _beam(self, linear: LinearProblem, most: int) -> dict[int, list[tuple[float, Support]]]:
-        return beam_search(linear, most, required=self.constraints.required)
-
     def margin(self, support: Support) -> float:
         """Return by how much χ² another structure of the same size must be less."""
-        known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
+        known = sorted(
+            self.problem.degrees[i] or 0 for i in support if self.problem.degrees[i] is not None
+        )
         return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
 
     def _signed(self, support: Support, coefficients: FloatArray) -> bool:
@@ -257,25 +252,24 @@ class _Search:
 
     def _physical(self, support: Support, coefficients: FloatArray) -> PhysicalForm:
         """Return a structure as its user will read it, τ in units of its own."""
-        names, terms = self.problem.names(support), self.problem.terms
-        none = np.zeros((len(names) + 1, len(names) + 1))
-        return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
+        return self.problem.terms.written(self.problem.columns[list(support)], coefficients)
 
     def choose(self) -> tuple[Support, tuple[Support, ...]]:
         """Return the best structure of the smallest size that stands, and its rivals."""
-        if not self.consistent:
-            allowed = [s for s, f in self.fits.items() if self._admits(f)]
-            return min(allowed or self.fits, key=lambda s: self.scores[s]), ()
-        size = min(len(s) for s in self.consistent)
-        level = [s for s in self.consistent if len(s) == size]
+        standing = self.standing()
+        if not standing:
+            allowed = [s for s in self.tested if self._admits(self.tried[s].fit)]
+            return min(allowed or self.tested, key=lambda s: self.tested[s].score), ()
+        size = min(map(len, standing))
+        level = [s for s in standing if len(s) == size]
         # In units of the variance that all terms leave, which colour raises above one.
-        chi2 = {s: self.fits[s].chi2 / self.variances[s] for s in level}
+        chi2 = {s: self.tried[s].fit.chi2 / self.tested[s].variance for s in level}
         least = min(chi2.values())
         tied = [s for s in level if chi2[s] < least + self.margin(s)]
 
         def order(support: Support) -> tuple[int, float]:
-            special = sum(self.degrees[i] is None for i in support)
-            return special, self.fits[support].chi2
+            special = sum(self.problem.degrees[i] is None for i in support)
+            return special, self.tried[support].fit.chi2
 
         chosen = min(tied, key=order)
         return chosen, tuple(s for s in tied if s != chosen)
@@ -283,17 +277,12 @@ class _Search:
     def table(self, chosen: Support) -> tuple[PathRow, ...]:
         """Return every structure with its score."""
         rows = []
-        for support in {*self.rough, *self.fits}:
-            fit = self.fits.get(support)
-            rows.append(
-                PathRow(
-                    len(support),
-                    tuple(self.problem.names(support)),
-                    self.scores[support] if fit else self.rough[support],
-                    fit.chi2 if fit else self.about.chi2(support),
-                    fit.time_constant_s if fit else float("nan"),
-                    support in self.consistent,
-                    support == chosen,
-                )
-            )
+        for support in {*self.rough, *self.tested}:
+            names = tuple(self.problem.names(support))
+            if support in self.tested:
+                fit, tested = self.tried[support].fit, self.tested[support]
+                found = tested.score, fit.chi2, fit.time_constant_s, tested.stands
+            else:
+                found = self.rough[support], self.about.chi2(support), float("nan"), False
+            rows.append(PathRow(len(support), names, *found, support == chosen))
         return tuple(sorted(rows, key=lambda row: (row.size, row.score)))

@@ -33,40 +33,21 @@ _ROWS_A_PARAMETER = 2
 
 @dataclass(frozen=True)
 class SparseRun:
-    """Terms, τ and β found on free runs; without terms where too few rows are scored.
+    """Terms, τ and β found on free runs; without terms where too few rows are scored."""
 
-    Parameters
-    ----------
-    support : tuple of int
-        Columns of the terms that were chosen.
-    terms : tuple of str
-        Their names.
-    time_constant_s : float
-        τ in seconds.
-    coefficients : ndarray of shape (n_terms,)
-        β in physical units.
-    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of β and, last, τ: a jackknife over cycles, what all cycles share and, where others stand
-        beside it, what structures differ by that the data cannot separate from the chosen one.
-    n_blocks : int
-        Cycles behind the jackknife.
-    departure : Departure or None
-        What speaks against the parabola.
-    path : tuple of PathRow
-        Every structure tried, with its error on cycles left out.
-    state : FitState
-        What became of the fit.
-    """
-
-    support: Support = ()
-    terms: tuple[str, ...] = ()
-    time_constant_s: float = float("nan")
+    support: Support = ()  # Columns of the terms that were chosen
+    terms: tuple[str, ...] = ()  # Their names
+    time_constant_s: float = float("nan")  # τ in seconds
+    # (n_terms,): β in physical units
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
+    # (n_terms + 1, n_terms + 1): Of β and, last, τ: a jackknife over cycles, what all cycles share
+    # and, where others stand beside it, what structures differ by that the data cannot separate
+    # from the chosen one
     covariance: FloatArray = field(default_factory=lambda: np.full((1, 1), np.nan))
-    n_blocks: int = 0
-    departure: Departure | None = None
-    path: tuple[PathRow, ...] = ()
-    state: FitState = FitState.TOO_FEW_ROWS
+    n_blocks: int = 0  # Cycles behind the jackknife
+    departure: Departure | None = None  # What speaks against the parabola
+    path: tuple[PathRow, ...] = ()  # Every structure tried, with its error on cycles left out
+    state: FitState = FitState.TOO_FEW_ROWS  # What became of the fit
 
     @property
     def time_constant_stderr_s(self) -> float:

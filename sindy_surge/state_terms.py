@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sindy_surge.library import power_name
 from surge_core.types import FloatArray
 
 # ψ'², ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
@@ -23,20 +24,12 @@ class ProductStateTerms:
 
     ψ' runs from 0.35 to 0.53 in a surge record, over which 1, ψ', ψ'² and ψ'³ are all but
     collinear; z runs from -1 to 1.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names in terms of ψ' itself, e.g. ``psi_p^2`` or ``psi_p phi``.
-    exponents : tuple of (int, int, int)
-        For each term the power of z, the input and its power.
-    centre, scale : float
-        Middle and half range of ψ'.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Names in terms of ψ' itself, e.g. ``psi_p^2`` or ``psi_p phi``
+    # For each term the power of z, the input and its power
     exponents: tuple[tuple[int, int, int], ...]
-    centre: float
+    centre: float  # Middle and half range of ψ'
     scale: float
 
     @classmethod
@@ -52,14 +45,17 @@ class ProductStateTerms:
         exponents = [(power, 0, 0) for power in _OWN_POWERS]
         for j, name in enumerate(input_names):
             for power in _PRODUCT_POWERS:
-                names.append(f"{output_name} {_power(name, power)}")
+                names.append(f"{output_name} {power_name(name, power)}")
                 exponents.append((1, j, power))
         low, high = float(np.min(psi_p)), float(np.max(psi_p))
         centre, scale = (high + low) / 2, (high - low) / 2
         if not scale > 1e-9 * max(abs(low), abs(high)):
             centre, scale = 0.0, max(abs(low), abs(high)) or 1.0
         # Products about the centre are the same model only beside what they expand to.
-        needed = {"1", *(_power(name, power) for name in input_names for power in _PRODUCT_POWERS)}
+        needed = {
+            "1",
+            *(power_name(name, power) for name in input_names for power in _PRODUCT_POWERS),
+        }
         return cls(tuple(names), tuple(exponents), centre if needed <= set(known) else 0.0, scale)
 
     def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
@@ -73,10 +69,6 @@ class ProductStateTerms:
     def physical(self) -> ProductStateTerms:
         """Return the same terms in ψ' itself."""
         return replace(self, centre=0.0, scale=1.0)
-
-
-def _power(name: str, power: int) -> str:
-    return name if power == 1 else f"{name}^{power}"
 
 
 class PhysicalForm(NamedTuple):
@@ -128,7 +120,7 @@ def physical_form(
             add(name, number, 1.0)
             continue
         power, j, q = states.exponents[states.names.index(name)]
-        factor = _power(input_names[j], q) if q else ""
+        factor = power_name(input_names[j], q) if q else ""
         for i in range(power + 1):
             value = comb(power, i) * (-states.centre) ** (power - i) / states.scale**power
             if i == 0:
@@ -136,7 +128,7 @@ def physical_form(
             elif i == 1 and not factor:
                 lag_share[number] += value
             else:
-                add(f"{_power(output, i)} {factor}".strip(), number, value)
+                add(f"{power_name(output, i)} {factor}".strip(), number, value)
     matrix = np.array(list(rows.values()))
     whole = 1.0 - float(lag_share @ coefficients)
     numerators = matrix @ coefficients

@@ -15,64 +15,34 @@ from surge_core.terms import pretty_term
 _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 
 
-def interval95(value: float, stderr: float, *, positive: bool = False) -> tuple[float, float]:
-    """Return the 95 % interval of a value.
+def interval95(value: float, stderr: float) -> tuple[float, float]:
+    """Return the 95 % interval of a value that is above zero by its nature; nan without an error.
 
-    Parameters
-    ----------
-    value, stderr : float
-        The value and its standard error.
-    positive : bool
-        Whether the value is above zero by its nature: the interval is then symmetric in its
-        logarithm where the error is small against the value, and cut at zero where it is not.
-
-    Returns
-    -------
-    tuple of float
-        The bounds; nan where the error is not known.
+    Symmetric in its logarithm where the error is small against the value, else cut at zero.
     """
     reach = _NORMAL_95 * stderr
     if not math.isfinite(reach):
         return math.nan, math.nan
-    if positive and reach <= 0.5 * value:
+    if reach <= 0.5 * value:
         factor = math.exp(reach / value)
         return value / factor, value * factor
-    low = max(0.0, value - reach) if positive else value - reach
-    return low, value + reach
+    return max(0.0, value - reach), value + reach
 
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """What is shown of a fitted model.
+    """What is shown of a fitted model."""
 
-    Parameters
-    ----------
-    parts : EquationParts
-        The equation with its errors.
-    state : FitState
-        What became of the fit.
-    name : str
-        Name of the estimator.
-    n_candidates : int
-        Number of terms in the library.
-    inclusion : sequence of float or None
-        Probability that a term belongs, one for each term.
-    rivals : sequence of sequences of str or None
-        Structures that the data cannot tell from the chosen one; None if not looked for.
-    noise : tuple of (float, sequence of float) or None
-        Standard deviation found for the noise of ψ' and of each input.
-    cautions : sequence of str
-        What to know before the numbers are used.
-    """
-
-    parts: EquationParts
-    state: FitState
-    name: str = "SparseLagRegressor"
-    n_candidates: int = 0
-    inclusion: Sequence[float] | None = None
+    parts: EquationParts  # The equation with its errors
+    state: FitState  # What became of the fit
+    name: str = "SparseLagRegressor"  # Name of the estimator
+    n_candidates: int = 0  # Number of terms in the library
+    inclusion: Sequence[float] | None = None  # Probability that a term belongs, one for each term
+    # Structures that the data cannot tell from the chosen one; None if not looked for
     rivals: Sequence[Sequence[str]] | None = None
+    # Standard deviation found for the noise of ψ' and of each input
     noise: tuple[float, Sequence[float]] | None = None
-    cautions: Sequence[str] = ()
+    cautions: Sequence[str] = ()  # What to know before the numbers are used
 
     def sheet(self) -> Sheet:
         """Return the fields, and the table of the terms."""
@@ -101,7 +71,7 @@ class ModelSummary:
         tau, error = parts.time_constant_s, parts.time_constant_stderr_s
         rows = [("time constant τ", "none: the fit is static")]
         if not parts.is_static:
-            interval = _interval(interval95(tau, error, positive=True), error)
+            interval = _interval(interval95(tau, error), error)
             rows = [("time constant τ", f"{round_to_error(tau, error)} s")]
             rows.append(("τ, 95 % interval", f"{interval} s"))
         if parts.has_dead_time:

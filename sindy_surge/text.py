@@ -1,58 +1,37 @@
-"""The identified equation as text, as pysindy writes it, and as a function to integrate."""
+"""The identified equation as text, and as pysindy writes it."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from surge_core.errors import InputError
 from surge_core.rounding import bracketed
 from surge_core.terms import pretty_term
-from surge_core.types import FloatArray
 from surge_core.validation import whole_number
 
-# From the inputs (n, n_inputs), delayed already, and ψ' (n,) to the terms (n, n_terms) in order.
-TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 # An error below this share of the value is rounding: the value is taken as exact.
 _EXACT = 1e-12
 
 
 @dataclass(frozen=True)
 class EquationParts:
-    """What the equation τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') is written from.
+    """What the equation τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') is written from."""
 
-    Parameters
-    ----------
-    terms : tuple of str
-        Names s_i of the terms, in pysindy's manner; the lag's own ψ' is not among them.
-    coef, stderr : tuple of float
-        Coefficients β_i and their standard errors, in physical units.
-    time_constant_s, time_constant_stderr_s : float
-        τ and its standard error in seconds; nan for a static fit.
-    dead_time_s, dead_time_stderr_s : float
-        Dead time d of the inputs and its standard error in seconds. A d of 0 with an error of
-        nan was not looked for and is not written.
-    input_names : tuple of str
-        Names of the inputs, in the order of their columns.
-    output_name : str
-        Name of ψ' in the terms.
-    """
-
+    # Names s_i of the terms, in pysindy's manner; the lag's own ψ' is not among them
     terms: tuple[str, ...]
-    coef: tuple[float, ...]
+    coef: tuple[float, ...]  # Coefficients β_i and their standard errors, in physical units
     stderr: tuple[float, ...]
-    time_constant_s: float
+    time_constant_s: float  # τ and its standard error in seconds; nan for a static fit
     time_constant_stderr_s: float
+    # Dead time d of the inputs and its standard error in seconds. A d of 0 with an error of nan was
+    # not looked for and is not written
     dead_time_s: float = 0.0
     dead_time_stderr_s: float = math.nan
-    input_names: tuple[str, ...] = ("phi",)
-    output_name: str = "psi_p"
+    input_names: tuple[str, ...] = ("phi",)  # Names of the inputs, in the order of their columns
+    output_name: str = "psi_p"  # Name of ψ' in the terms
 
     @property
     def is_static(self) -> bool:
@@ -178,33 +157,3 @@ def _whole_words(names: Sequence[str]) -> re.Pattern[str]:
     """Match any of the names, the longest first, where it stands by itself."""
     longest_first = sorted(filter(None, names), key=len, reverse=True)
     return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
-
-
-def rate_of(
-    parts: EquationParts, evaluate: TermValues, psi_p: ArrayLike, *inputs: ArrayLike
-) -> Any:
-    """Return the fitted dψ'/dt = (Σ β_i s_i(φ(t − d), ψ') − ψ')/τ in 1/s.
-
-    Parameters
-    ----------
-    parts : EquationParts
-        The equation; not a static one.
-    evaluate : callable
-        From inputs (n, n_inputs) and ψ' (n,) to the terms (n, n_terms) of `parts`.
-    psi_p : float or array-like
-        Pressure coefficient now.
-    *inputs : float or array-like
-        φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago.
-
-    Returns
-    -------
-    float or ndarray
-        Of the common shape of ψ' and the inputs.
-    """
-    state, *columns = np.broadcast_arrays(
-        *(np.asarray(v, dtype=np.float64) for v in (psi_p, *inputs))
-    )
-    flat = state.ravel()
-    values = evaluate(np.column_stack([column.ravel() for column in columns]), flat)
-    rates = (values @ np.array(parts.coef) - flat) / parts.time_constant_s
-    return rates.reshape(state.shape) if state.ndim else float(rates[0])

@@ -66,24 +66,13 @@ class WeakEquations:
     built from the raw φ and integrated with the very same w; smoothing φ first would not
     commute with its powers. A test function starts every quarter of a half width; segments
     shorter than one give no equation.
-
-    Parameters
-    ----------
-    derivative, signal : ndarray of shape (n_weak,)
-        Weak dψ'/dt (1/s) and ψ'.
-    columns : ndarray of shape (n_weak, n_columns)
-        Weak terms.
-    centres : ndarray of int of shape (n_weak,)
-        Row at the middle of each test function.
-    half_width : int
-        Half width m in samples.
     """
 
-    derivative: FloatArray
+    derivative: FloatArray  # (n_weak,): Weak dψ'/dt (1/s) and ψ'
     signal: FloatArray
-    columns: FloatArray
-    centres: IndexArray
-    half_width: int
+    columns: FloatArray  # (n_weak, n_columns): Weak terms
+    centres: IndexArray  # (n_weak,): Row at the middle of each test function
+    half_width: int  # Half width m in samples
 
     @classmethod
     def integrate(

@@ -11,6 +11,7 @@ import numpy as np
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
 
 if TYPE_CHECKING:
@@ -31,16 +32,23 @@ def discover_document(model: SparseDynamics) -> dict[str, Any]:
     model : SparseDynamics
         Fitted.
     """
+    stated = _stated(model)
     return {
         "schema": DISCOVER_SCHEMA,
-        "equations": _equations(model, model.equation_terms_),
+        "equations": _equations(model, model.equation_terms_) if stated else [],
         "rivals": [
             {"behind": rival.behind, "equations": _equations(model, rival.equations)}
             for rival in model.rivals_
+            if stated
         ],
         "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False)),
         "fit_state": {"code": model.state_.code, "advice": model.state_.advice},
     }
+
+
+def _stated(model: SparseDynamics) -> bool:
+    """Return whether the equations explain the data: else none of them is stated."""
+    return model.state_ not in (FitState.UNEXPLAINED, FitState.NO_EQUATIONS)
 
 
 def _equations(
@@ -56,14 +64,17 @@ def _equations(
 
 
 def discover_text(model: SparseDynamics) -> str:
-    """Return the equations, their state and their rivals as text.
+    """Return the equations, their state and their rivals as text; the state alone if they fail.
 
     Parameters
     ----------
     model : SparseDynamics
         Fitted.
     """
-    lines = [f"{model.state_.code}: {model.state_.advice}", ""]
+    head = f"{model.state_.code}: {model.state_.advice}"
+    if not _stated(model):
+        return head
+    lines = [head, ""]
     for state, terms in zip(model.state_names_, model.equation_terms_, strict=True):
         lines.append(f"d{state}/dt = {_written(terms)}")
     lines += ["", _rivals_words(model)]
@@ -124,11 +135,11 @@ def discover_report(
     command : str
         The command line that made it.
     """
-    blocks: list[Block] = [
-        Words(model.state_.advice, "plain" if model.state_.code == "ok" else "caution"),
-        *(_table(s, e) for s, e in zip(model.state_names_, model.equation_terms_, strict=True)),
-        Words(_rivals_words(model)),
-    ]
+    tone = "plain" if model.state_ is FitState.OK else "caution"
+    blocks: list[Block] = [Words(model.state_.advice, tone)]
+    if _stated(model):
+        named = zip(model.state_names_, model.equation_terms_, strict=True)
+        blocks += [*(_table(*each) for each in named), Words(_rivals_words(model))]
     parts = [Part("Equations", tuple(blocks))]
     parts.append(Part("Measured and estimated", tuple(_pictures(model, x, t))))
     title = "Equations of " + ", ".join(names)

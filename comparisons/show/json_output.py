@@ -83,7 +83,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         "segments_fitted": found.n_segments,
         "settings": found.settings,
         "equation": None if found.refused else found.equation(),
-        "time_constant_s": tau_json(tau, error, interval95(tau, error, positive=True)),
+        "time_constant_s": tau_json(tau, error, interval95(tau, error)),
         # Null where none was looked for.
         "dead_time_s": {
             "value": getattr(fit, "dead_time_s_", None),

@@ -18,10 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from sindy_surge.discover.features import Features
 from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from surge_core.types import BoolArray, FloatArray, IndexArray
 
 # A step that moves the coefficients by less than this share of a standard error ends the search.
@@ -33,74 +35,27 @@ _HALVINGS = 4
 
 
 @dataclass(frozen=True)
-class Linear:
-    """The regression about one fit: squared error = rest + (ξ - best)ᵀ H (ξ - best).
-
-    Parameters
-    ----------
-    information : ndarray of shape (n, n)
-        H of the columns asked for.
-    score : ndarray of shape (n,)
-        Gᵀ S⁻¹ (ρ at ξ = 0): the right-hand side of the normal equations.
-    squares : float
-        Squared error at ξ = 0.
-    """
-
-    information: FloatArray
-    score: FloatArray
-    squares: float
-
-
-@dataclass(frozen=True)
 class Fit:
-    """Coefficients of one support with the states that go with them.
+    """Coefficients of one support with the states that go with them."""
 
-    Parameters
-    ----------
-    xi : ndarray of shape (n_terms, n_states)
-        Coefficients; zero outside the support.
-    x : ndarray of shape (n_rows, n_states)
-        Estimated states.
-    chi2 : float
-        Squared error in units of the noise.
-    covariance : ndarray of shape (n_support, n_support)
-        Of the coefficients, in units of the noise's variance.
-    converged : bool
-        Whether the search ended.
-    """
-
-    xi: FloatArray
-    x: FloatArray
-    chi2: float
+    xi: FloatArray  # (n_terms, n_states): Coefficients; zero outside the support
+    x: FloatArray  # (n_rows, n_states): Estimated states
+    chi2: float  # Squared error in units of the noise
+    # (n_support, n_support): Of the coefficients, in units of the noise's variance
     covariance: FloatArray
-    converged: bool
+    converged: bool  # Whether the search ended
 
 
 @dataclass(frozen=True)
 class Collocation:
-    """Measured trajectories, candidate terms and the noise.
+    """Measured trajectories, candidate terms and the noise."""
 
-    Parameters
-    ----------
-    data : Trajectories
-        What was measured.
-    features : Features
-        The candidate terms.
-    noise : ndarray of shape (n_states,)
-        Standard deviation of each state's noise.
-    known : ndarray of shape (n_terms, n_states)
-        Coefficients that are given; zero elsewhere.
-    rows : int, optional
-        Length of the segments that trajectories are cut into, each with a start of its own.
-    hidden : ndarray of bool of shape (n_states,)
-        States that are not measured.
-    """
-
-    data: Trajectories
-    features: Features
-    noise: FloatArray
-    known: FloatArray
-    hidden: BoolArray
+    data: Trajectories  # What was measured
+    features: Features  # The candidate terms
+    noise: FloatArray  # (n_states,): Standard deviation of each state's noise
+    known: FloatArray  # (n_terms, n_states): Coefficients that are given; zero elsewhere
+    hidden: BoolArray  # (n_states,): States that are not measured
+    # Length of the segments that trajectories are cut into, each with a start of its own
     rows: int | None = None
     joined: BoolArray = field(init=False)
     middle: FloatArray = field(init=False)
@@ -142,16 +97,17 @@ class Collocation:
         about = _About(self, x, xi)
         for _ in range(_MOST_STEPS):
             try:
-                linear, solve = about.linear(support)
+                white = about.whitened(support)
             except (LinAlgError, ValueError):
                 return Fit(xi, x, np.inf, inverse, False)
-            H = linear.information + (np.diag(ridge) if ridge is not None else 0.0)
+            H = white.columns.T @ white.columns
+            H += np.diag(ridge) if ridge is not None else 0.0
             inverse = _inverse(H)
             new = np.zeros_like(xi)
-            new[place] = inverse @ linear.score
+            new[place] = inverse @ (white.columns.T @ white.target)
             move = new[place] - xi[place]
             moved = float(move @ H @ move)
-            target, chi2 = about.states(solve, support, new[place])
+            target, chi2 = about.states(white, new[place])
             share = 1.0
             for _ in range(_HALVINGS):
                 ahead = _About(self, x + share * (target - x), xi + share * (new - xi))
@@ -168,9 +124,26 @@ class Collocation:
                 break
         return Fit(xi, x, chi2, inverse, converged)
 
-    def linear(self, fit: Fit, support: IndexArray) -> Linear:
-        """Return the regression on some columns about a fit."""
-        return _About(self, fit.x, fit.xi).linear(support)[0]
+    def try_terms(self, support: Support, near: Fit) -> tuple[Fit, float]:
+        """Fit some terms from a fit nearby; return the fit and its χ², infinite without one."""
+        fit = self.fit(np.array(support, dtype=np.intp), near.xi, near.x)
+        return fit, fit.chi2 if fit.converged else np.inf
+
+    def regression(self, fit: Fit) -> LinearProblem:
+        """Return the regression on all terms that are not given about a fit."""
+        white = _About(self, fit.x, fit.xi).whitened(np.arange(fit.xi.size))
+        return without_nuisances(np.zeros((white.target.size, 0)), white.columns, white.target)
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """What the coefficients have to explain, in units of the noise, with the factor of S."""
+
+    columns: FloatArray
+    target: FloatArray
+    factor: FloatArray
+    before: FloatArray
+    after: FloatArray
 
 
 class _About:
@@ -210,8 +183,8 @@ class _About:
         open_rows = problem.joined[:, None, None]
         return np.where(open_rows, before * scale, 0.0), np.where(open_rows, after * scale, 0.0)
 
-    def linear(self, support: IndexArray) -> tuple[Linear, tuple[FloatArray, ...]]:
-        """Return the regression on columns, and what `states` needs."""
+    def whitened(self, support: IndexArray) -> _Whitened:
+        """Return the regression on columns, whitened."""
         problem = self.problem
         before, after = self._jacobians()
         e = (problem.data.y - self.x) / problem.noise
@@ -223,23 +196,17 @@ class _About:
         # At ξ = 0 of the linearised problem: r + A e + G ξ_now.
         rho = rho.reshape(-1) + G @ xi_now
         factor = _factor(before, after, problem.joined)
-        solved = cho_solve_banded((factor, True), np.column_stack((G, rho)), check_finite=False)
-        information = G.T @ solved[:, :-1]
-        information = 0.5 * (information + information.T)
-        linear = Linear(information, G.T @ solved[:, -1], float(rho @ solved[:, -1]))
-        return linear, (solved, before, after)
+        white = _solved(factor, np.column_stack((G, rho)))
+        return _Whitened(white[:, :-1], white[:, -1], factor, before, after)
 
-    def states(
-        self, solve: tuple[FloatArray, ...], support: IndexArray, best: FloatArray
-    ) -> tuple[FloatArray, float]:
+    def states(self, white: _Whitened, best: FloatArray) -> tuple[FloatArray, float]:
         """Return the states that go with coefficients, and the squared error there."""
-        solved, before, after = solve
         problem = self.problem
-        K, n = self.r.shape
-        multiplier = (solved[:, -1] - solved[:, :-1] @ best).reshape(K, n)
+        rest = white.target - white.columns @ best
+        multiplier = _solved(white.factor, rest, transposed=True).reshape(self.r.shape)
         eta = np.zeros_like(self.x)
-        eta[:-1] -= np.einsum("kij,ki->kj", before, multiplier)
-        eta[1:] -= np.einsum("kij,ki->kj", after, multiplier)
+        eta[:-1] -= np.einsum("kij,ki->kj", white.before, multiplier)
+        eta[1:] -= np.einsum("kij,ki->kj", white.after, multiplier)
         measured = np.where(problem.hidden, self.x, problem.data.y)
         return measured + eta * problem.noise, float(np.sum(eta**2))
 
@@ -271,6 +238,14 @@ def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatAr
         for b in range(n):
             band[b - a + n, a : (K - 1) * n : n] = next_one[:, b, a]
     return np.asarray(cholesky_banded(band, lower=True, check_finite=True))
+
+
+def _solved(factor: FloatArray, columns: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Solve with the Cholesky factor of S, or its transpose."""
+    solved, info = dtbtrs(factor, columns, uplo="L", trans="T" if transposed else "N")
+    if info != 0:
+        raise LinAlgError("the covariance of the defects is singular")
+    return np.asarray(solved.reshape(columns.shape))
 
 
 def _inverse(H: FloatArray) -> FloatArray:

@@ -8,30 +8,21 @@ from typing import Any, Self
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sindy_surge.discover.collocation import Collocation, Fit, Linear
+from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.features import Features
-from sindy_surge.discover.search import Search, Tried, proposed_by
-from sindy_surge.discover.smoothing import difference_noise, smoothed
+from sindy_surge.discover.levels import Level, search_by_levels
 from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.search import Tried
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray, IndexArray
+from surge_core.types import FloatArray
 from surge_core.validation import one_of
 
-# Rows of the segments on which the full library is fitted, and on which supports are compared.
-# Short first: there a library of wrong terms still follows the data.
-_FULL_ROWS = (30, 60)
-_LEVELS = (60, 300, None)
-# A coefficient is at first believed to make no term larger than so many times the derivative.
-_LARGEST_TERM = 10.0
-# Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
-_START_RIDGE = 1e-4
-# Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
-# five standard deviations.
-_LEAST_NOISE = 3.5e-4
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
+# Two supports whose scores, in χ², are closer than this are rivals (Kass & Raftery 1995).
+_RIVAL = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
 # Of white noise the correlation of neighbours scatters by 1/√N.
@@ -128,12 +119,15 @@ class SparseDynamics(BaseEstimator):
         InputError
             If the data cannot be used.
         """
+        from pysindy import STLSQ
+
         one_of("search", self.search, ("full", "optimizer"))
         data = Trajectories.of(x, t, u)
         _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names)
-        searches, best = self._searched(problem, rates)
-        self._keep(problem, searches, best)
+        given = [self.state_names_.index(name) for name in self._known]
+        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
+        self._keep(*search_by_levels(problem, rates, given, optimizer, full=self.search == "full"))
         return self
 
     # -- What was found ---------------------------------------------------------------------------
@@ -247,7 +241,7 @@ class SparseDynamics(BaseEstimator):
             _SCORED_ROWS,
         )
         empty = np.zeros_like(self.coef_.T)
-        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, smoothed(problem.data))
+        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, problem.data.smooth())
         measured = ~self._hidden
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
@@ -270,14 +264,14 @@ class SparseDynamics(BaseEstimator):
         self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
-        noise = np.maximum(difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
+        noise = data.noise
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
         spread = np.std(data.y, axis=0)
         noise = np.append(noise, _HIDDEN_FREEDOM * spread[hidden])
         library = self.library if self.library is not None else PolynomialLibrary(degree=3)
-        sample = np.column_stack((data.y, data.u))
-        features = Features.of(library, self.state_names_, self.input_names_, sample)
+        every = (*self.state_names_, *self.input_names_)
+        features = Features.of(library, every, data.y, data.u)
         given = np.zeros((len(features.names), data.y.shape[1]))
         for state, terms in known.items():
             for name, value in terms.items():
@@ -313,7 +307,7 @@ class SparseDynamics(BaseEstimator):
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
         if not self.hidden:
             return data
-        smooth, rates = smoothed(data), self._rates(data)
+        smooth, rates = data.smooth(), self._rates(data)
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
         columns |= dict(zip(self.input_names_, data.u.T, strict=True))
         for name in self.hidden:
@@ -325,101 +319,26 @@ class SparseDynamics(BaseEstimator):
                     rest -= value * (1.0 if other == "1" else columns[other])
             columns[name] = rest / terms[name]
         added = np.column_stack([columns[name] for name in self.hidden])
-        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.run)
+        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.runs)
 
     def _rates(self, data: Trajectories) -> FloatArray:
         """Return dx/dt of shape (n_rows, n_states), by the user's differentiation or a smooth."""
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
-        y = data.y if self.differentiation is not None else smoothed(data)
-        parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.pieces()]
+        y = data.y if self.differentiation is not None else data.smooth()
+        parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
 
-    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[Search], Tried]:
-        """Return the supports tried at each length of segments, the last first, and the best."""
-        n_terms, n_states = problem.known.shape
-        taken = [self.state_names_.index(name) for name in self._known]
-        free = np.array(
-            [i for i in range(n_terms * n_states) if i // n_terms not in taken], dtype=np.intp
-        )
-        full, problem = self._full(problem, rates, free)
-        self.noise_ = problem.noise[~problem.hidden]
-        measured = problem.cut(_FULL_ROWS[-1])
-        linear = measured.linear(full, free)
-        logs = float(np.log(problem.data.run.size)), float(np.log(n_terms))
-        proposals = [self._proposal(linear, free, n_terms)]
-        search = Search(measured, free, *logs)
-        if self.search == "optimizer":
-            search = Search(problem.cut(None), free, *logs)
-            return [search], search.try_support(proposals[0][0], full, proposals[0][1])
-        proposals += [(s, "elimination") for s in search.promising(linear)]
-        best = min((search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score)
-        searches = [search]
-        if not np.isfinite(best.score):
-            return searches, best
-        for rows in _LEVELS:
-            longest = max(p.stop - p.start for p in problem.data.pieces())
-            level = search if rows == _FULL_ROWS[-1] else Search(problem.cut(rows), free, *logs)
-            if rows is not None and rows >= longest:
-                continue
-            start = level.try_support(best.support, best.fit, best.by)
-            if not np.isfinite(start.score):
-                break
-            best = level.climb(start)
-            if level is not search:
-                searches.insert(0, level)
-        return searches, best
-
-    def _full(
-        self, problem: Collocation, rates: FloatArray, free: IndexArray
-    ) -> tuple[Fit, Collocation]:
-        """Fit the whole library on short segments, and with it the noise."""
-        x = smoothed(problem.data)
-        x[:, problem.hidden] = problem.data.y[:, problem.hidden]
-        theta = problem.features.values(x, problem.data.u)
-        n_terms, n_states = problem.known.shape
-        size = np.sqrt(np.mean(theta**2, axis=0))
-        prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
-        ridge = (prior.T.ravel()[free]) ** -2.0
-        scaled = theta / size
-        small = _START_RIDGE * len(scaled) * np.eye(n_terms)
-        target = scaled.T @ (rates - theta @ problem.known)
-        xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
-        fit = Fit(xi, x, np.inf, np.eye(free.size), False)
-        for rows in _FULL_ROWS:
-            fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
-        own = problem.cut(_FULL_ROWS[-1])
-        n_rows = problem.data.run.size
-        starts = 1 + int(np.count_nonzero(~own.joined))
-        spent = starts + free.size / n_states
-        left = problem.data.y - fit.x
-        found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
-        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
-        noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
-        if np.isfinite(fit.chi2):
-            problem = Collocation(
-                problem.data, problem.features, noise, problem.known, problem.hidden
-            )
-            fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
-        return fit, problem
-
-    def _proposal(
-        self, linear: Linear, free: IndexArray, n_terms: int
-    ) -> tuple[tuple[int, ...], str]:
-        from pysindy import STLSQ
-
-        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
-        name = type(optimizer).__name__
-        return proposed_by(optimizer, linear, free, n_terms), name
-
-    def _keep(self, problem: Collocation, searches: list[Search], best: Tried) -> None:
+    def _keep(self, searches: list[Level], best: Tried[Fit]) -> None:
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
+        problem = search.likelihood
         if not np.isfinite(best.score):
-            empty = search.problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            empty = problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
             best = Tried((), np.inf, empty, best.by)
         features, n_terms = problem.features, problem.known.shape[0]
-        self._features, self._noise_all = features, search.problem.noise
+        self._features, self._noise_all = features, problem.noise
+        self.noise_ = problem.noise[~problem.hidden]
         self.search_, self.best_ = search, best
         self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
@@ -430,16 +349,16 @@ class SparseDynamics(BaseEstimator):
         self.terms_ = tuple(tuple(t.name for t in terms) for terms in self.equation_terms_)
         self.x_ = best.fit.x
         self.rivals_ = tuple(
-            Rival(self._terms_of(t, problem.known), t.score - best.score)
-            for t in search.rivals(best)
+            Rival(self._terms_of(t, problem.known), 0.5 * (t.score - best.score))
+            for t in search.rivals(best, _RIVAL)
         )
         self.inclusion_probability_ = search.inclusion(self.coef_.size).reshape(-1, n_terms)
         self.path_ = tuple(
-            (t.by, self._names_of(t.support), float(t.score))
+            (t.by, self._names_of(t.support), 0.5 * float(t.score))
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
-        self.state_ = self._state(problem, best, search.problem)
+        self.state_ = self._state(problem, best)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -448,7 +367,7 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _terms_of(self, tried: Tried, known: FloatArray) -> tuple[tuple[Term, ...], ...]:
+    def _terms_of(self, tried: Tried[Fit], known: FloatArray) -> tuple[tuple[Term, ...], ...]:
         n = len(self.candidate_terms_)
         errors = dict(zip(tried.support, np.sqrt(np.diag(tried.fit.covariance)), strict=True))
         xi = tried.fit.xi + known
@@ -461,19 +380,18 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried, compared_on: Collocation) -> FitState:
+    def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
-        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
-        seen = np.maximum(difference_noise(problem.data), floor)[~problem.hidden]
+        seen = problem.data.noise[~problem.hidden]
         above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
         white = _WHITE_SIGMAS / np.sqrt(len(left))
         if np.any((coloured > white) & above):
             return FitState.UNEXPLAINED
-        if compared_on.rows is not None:
+        if problem.rows is not None:
             return FitState.SHORT_RUNS_ONLY
         return FitState.OK if self.search == "full" else FitState.PROPOSED
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from sindy_surge.candidate_terms import fitted_library
+from sindy_surge.library import monomials
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 # Central differences: the cube root of the rounding error, as a share of each state's size.
 _STEP = 6e-6
@@ -20,49 +21,25 @@ _STEP = 6e-6
 
 @dataclass(frozen=True)
 class Features:
-    """The terms s_i(x, u) of a library.
+    """The terms s_i(x, u) of a library."""
 
-    Parameters
-    ----------
-    library : pysindy feature library
-        Fitted to states and inputs together.
-    states, inputs : tuple of str
-        Their names.
-    size : ndarray of shape (n_states,)
-        Size of each state, for the steps of numerical derivatives.
-    """
-
-    library: Any
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    size: FloatArray
+    library: Any  # Fitted to states and inputs together
+    names: tuple[str, ...]  # Names of its terms, as pysindy writes them
+    size: FloatArray  # (n_states,): Size of each state, for the steps of numerical derivatives
 
     @classmethod
-    def of(
-        cls, library: Any, states: Sequence[str], inputs: Sequence[str], sample: FloatArray
-    ) -> Features:
-        """Fit a copy of a library to a sample (n_rows, n_states + n_inputs).
+    def of(cls, library: Any, names: Sequence[str], x: FloatArray, u: FloatArray) -> Features:
+        """Fit a copy of a library to states and inputs of these names.
 
         Raises
         ------
         InputError
-            If a term of the library cannot be evaluated on the sample.
+            If a term of the library cannot be evaluated on them.
         """
-        # CustomLibrary keeps its functions where sklearn's clone does not look.
-        fitted = deepcopy(library)
+        size = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
         with np.errstate(all="ignore"):
-            try:
-                values = np.asarray(fitted.fit(sample).transform(sample))
-            except (AttributeError, TypeError, ValueError) as error:
-                raise InputError(
-                    "library",
-                    expected="a pysindy feature library that takes the states and inputs",
-                    found=str(error),
-                    remedy="a function in it must be written in Python, as lambda x: np.sin(x)",
-                ) from error
-        size = np.maximum(np.sqrt(np.mean(sample[:, : len(states)] ** 2, axis=0)), 1e-300)
-        found = cls(fitted, tuple(states), tuple(inputs), size)
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=0))
+            found = cls(*fitted_library(library, np.column_stack((x, u)), names), size)
+            bad = np.flatnonzero(~np.isfinite(found.values(x, u)).all(axis=0))
         if bad.size:
             raise InputError(
                 "library",
@@ -73,13 +50,7 @@ class Features:
         return found
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the terms, as pysindy writes them."""
-        every = [*self.states, *self.inputs]
-        return tuple(str(n) for n in self.library.get_feature_names(every))
-
-    @cached_property
-    def _powers(self) -> FloatArray | None:
+    def _powers(self) -> IntArray | None:
         """Exponents (n_terms, n_columns) of a polynomial library, None for another."""
         from pysindy import PolynomialLibrary
 
@@ -91,7 +62,7 @@ class Features:
         """Return the terms (n_rows, n_terms) at states and inputs (n_rows, …)."""
         z = np.column_stack((x, u))
         if self._powers is not None:
-            return _monomials(z, self._powers)
+            return monomials(z, self._powers)
         return np.asarray(self.library.transform(z), dtype=np.float64)
 
     def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -102,7 +73,7 @@ class Features:
             if self._powers is not None:
                 lower = self._powers.copy()
                 lower[:, j] = np.maximum(lower[:, j] - 1, 0)
-                found.append(self._powers[:, j] * _monomials(z, lower))
+                found.append(self._powers[:, j] * monomials(z, lower))
                 continue
             step = np.zeros(z.shape[1])
             step[j] = _STEP * self.size[j]
@@ -127,12 +98,3 @@ class Features:
                 remedy="write it as the library does",
             )
         return self.names.index(plain)
-
-
-def _monomials(z: FloatArray, powers: FloatArray) -> FloatArray:
-    """Return Π_j z_j^p_ij, built from the powers of each column."""
-    result = np.ones((z.shape[0], powers.shape[0]))
-    for j in range(z.shape[1]):
-        ladder = z[:, j : j + 1] ** np.arange(int(powers[:, j].max()) + 1)
-        result *= ladder[:, powers[:, j].astype(int)]
-    return result

@@ -1,4 +1,4 @@
-"""Duct and plenum in integral form, and the choice of terms by exhaustive search.
+"""Duct and plenum in integral form, and the choice of their terms.
 
 x(t) = x(t₀) + Σ c_j ∫ s_j dt with a free x(t₀) in every cycle: nothing is differentiated, and the
 noise of the terms is averaged by the integral.
@@ -6,11 +6,17 @@ noise of the terms is averaged by the integral.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 
+from sindy_surge.library import monomial_name, monomials
+from sindy_surge.linear_problem import Support, least_squares, without_nuisances
+from sindy_surge.search import beam_search
+from sindy_surge.segments import Segments
+from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IntArray
 
 FACTORS = ("phi", "psi_p", "plenum", "sqrt(plenum)")
@@ -33,85 +39,69 @@ _UNCORRELATED = 0.1
 
 
 @dataclass(frozen=True)
-class Balance:
-    """The equation dx/dt = Σ c_j s_j(φ, ψ', Ψ) of one state.
+class FittedSum:
+    """A fitted sum of terms.
 
     Parameters
     ----------
-    exponents : ndarray of int of shape (n_terms, 4)
-        Powers of φ, ψ', Ψ and sign(Ψ) √|Ψ| in each term.
     coefficients : ndarray of shape (n_terms,)
-        c_j, per second.
+        Of each term.
     covariance : ndarray of shape (n_terms, n_terms)
         Their covariance.
     """
 
-    exponents: IntArray
     coefficients: FloatArray
     covariance: FloatArray
 
     @property
     def stderr(self) -> FloatArray:
-        """Standard errors of the coefficients, per second."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        """Standard errors of the coefficients."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True)
+class Balance(FittedSum):
+    """The equation dx/dt = Σ c_j s_j(φ, ψ', Ψ) of one state, c_j per second.
+
+    Parameters
+    ----------
+    exponents : ndarray of int of shape (n_terms, 4)
+        Powers of φ, ψ', Ψ and sign(Ψ) √|Ψ| in each term.
+    """
+
+    exponents: IntArray
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms."""
-        named = (
-            " ".join(
-                name + (f"^{power}" if power > 1 else "")
-                for name, power in zip(FACTORS, row, strict=True)
-                if power
-            )
-            for row in self.exponents.tolist()
-        )
-        return tuple(name or "1" for name in named)
+        return tuple(monomial_name(FACTORS, powers) for powers in self.exponents.tolist())
 
     def rate(self, states: FloatArray) -> FloatArray:
         """Return dx/dt at states (n_rows, 3), per second."""
-        return np.asarray(self.coefficients @ term_values(states, self.exponents))
+        return term_values(states, self.exponents) @ self.coefficients
 
 
 def term_values(states: FloatArray, exponents: IntArray) -> FloatArray:
-    """Evaluate terms: states (n_rows, 3) to values (n_terms, n_rows)."""
-    phi, psi_p, plenum = states.T
+    """Evaluate terms: states (n_rows, 3) to values (n_rows, n_terms)."""
+    plenum = states[:, 2]
     root = np.copysign(np.sqrt(np.abs(plenum)), plenum)
-    factors = np.stack((phi, psi_p, plenum, root))
-    return np.asarray(np.prod(factors[None] ** exponents[:, :, None], axis=1))
+    return monomials(np.column_stack((states, root)), exponents)
 
 
-def sandwich(columns: FloatArray, left: FloatArray, blocks: IntArray) -> FloatArray:
-    """Return the covariance of least squares whose residual is correlated within blocks.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_columns, n_rows)
-        The regressors.
-    left : ndarray of shape (n_rows,)
-        The residual.
-    blocks : ndarray of int of shape (n_rows,)
-        Number of the block of each row.
-    """
-    size = np.linalg.norm(columns, axis=1)
-    size[size == 0] = 1.0
-    scaled = columns / size[:, None]
-    bread = np.linalg.pinv(scaled @ scaled.T, rcond=1e-12)
-    scores = np.stack([np.bincount(blocks, c * left) for c in scaled])
-    n = scores.shape[1]
-    meat = scores @ scores.T * n / max(n - 1, 1)
-    return np.asarray(bread @ meat @ bread / np.outer(size, size))
+def block_covariance(columns: FloatArray, left: FloatArray, blocks: Sequence[slice]) -> FloatArray:
+    """Return the covariance of a regression on columns (n_rows, n) by leaving out each block."""
+    return scatter(leave_out(-columns, left, blocks).moves)
 
 
 def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[IntArray, float]:
-    """Choose among the first `n_terms` columns by the extended BIC, over all their subsets.
+    """Choose among the first `n_terms` columns by the extended BIC.
 
     n log(rest²) + k (log n + 2 log p) with n the number of independent rows: the residual of all
     columns says over how many rows it is correlated.
 
     Parameters
     ----------
-    columns : ndarray of shape (n_columns, n_rows)
+    columns : ndarray of shape (n_rows, n_columns)
         Candidates, then columns that always stay.
     goal : ndarray of shape (n_rows,)
         What they are to explain.
@@ -125,22 +115,16 @@ def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[Int
     independent : float
         Number of independent rows.
     """
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
-    q, r = np.linalg.qr(np.vstack((scaled, goal)).T)
-    r, target = r[:, :-1], r[:, -1]
-    left = q[:, -1] * target[-1]
+    left = goal - columns @ least_squares(columns, goal)
     independent = goal.size / correlation_rows(left)
     penalty = np.log(independent) + 2 * np.log(n_terms)
-    always = tuple(range(n_terms, len(columns)))
+    linear = without_nuisances(columns[:, n_terms:], columns[:, :n_terms], goal)
+    best = [(linear.chi2(()), ()), *(each[0] for each in beam_search(linear, n_terms).values())]
 
-    def score(subset: tuple[int, ...]) -> float:
-        own = r[:, subset + always]
-        rest = target - own @ np.linalg.lstsq(own, target, rcond=1e-12)[0]
-        return float(independent * np.log(rest @ rest / goal.size) + penalty * len(subset))
+    def score(trial: tuple[float, Support]) -> float:
+        return float(independent * np.log(trial[0] / goal.size) + penalty * len(trial[1]))
 
-    candidates = range(n_terms)
-    subsets = (s for size in range(n_terms + 1) for s in combinations(candidates, size))
-    return np.array(min(subsets, key=score), dtype=np.int64), independent
+    return np.array(min(best, key=score)[1], dtype=np.int64), independent
 
 
 def correlation_rows(left: FloatArray) -> float:
@@ -155,7 +139,7 @@ def correlation_rows(left: FloatArray) -> float:
 def fit_balance(
     channel: FloatArray,
     states: FloatArray,
-    starts: IntArray,
+    runs: Segments,
     period_samples: int,
     sample_period_s: float,
 ) -> Balance:
@@ -167,8 +151,8 @@ def fit_balance(
         Measured x.
     states : ndarray of shape (n_rows, 3)
         φ, ψ' and Ψ, smoothed.
-    starts : ndarray of int of shape (n_records,)
-        First row of each record.
+    runs : Segments
+        The rows of each record.
     period_samples : int
         Rows of a cycle; x starts freely in each.
     sample_period_s : float
@@ -181,23 +165,18 @@ def fit_balance(
     """
     from scipy.integrate import cumulative_simpson
 
-    values = term_values(states, _EXPONENTS)
-    edges = []
-    for begin, end in zip(starts, np.append(starts[1:], len(states)), strict=True):
-        n_windows = max((end - begin) // period_samples, 1)
-        edges.append(np.linspace(begin, end, n_windows + 1).astype(int))
-    columns, blocks = np.zeros_like(values), np.zeros(len(states), dtype=np.int64)
-    goal = channel.copy()
-    number = 0
-    for cut in edges:
-        for begin, end in pairwise(cut):
-            own = cumulative_simpson(values[:, begin:end], dx=sample_period_s, initial=0)
-            columns[:, begin:end] = own - own.mean(axis=1, keepdims=True)
-            goal[begin:end] -= goal[begin:end].mean()
-            blocks[begin:end] = number
-            number += 1
-    chosen, _ = best_terms(columns, goal, len(columns))
-    own = columns[chosen]
-    coefficients = np.asarray(np.linalg.lstsq(own.T, goal, rcond=None)[0], dtype=np.float64)
-    spread = sandwich(own, goal - coefficients @ own, blocks)
-    return Balance(_EXPONENTS[chosen], coefficients, spread)
+    columns, goal = term_values(states, _EXPONENTS), channel.copy()
+    blocks = []
+    for run in runs.slices():
+        n_windows = max((run.stop - run.start) // period_samples, 1)
+        edges = np.linspace(run.start, run.stop, n_windows + 1).astype(int)
+        blocks += [slice(begin, end) for begin, end in pairwise(edges.tolist())]
+    for block in blocks:
+        own = cumulative_simpson(columns[block], dx=sample_period_s, initial=0, axis=0)
+        columns[block] = own - own.mean(axis=0)
+        goal[block] -= goal[block].mean()
+    chosen, _ = best_terms(columns, goal, columns.shape[1])
+    own = columns[:, chosen]
+    coefficients = least_squares(own, goal)
+    covariance = block_covariance(own, goal - own @ coefficients, blocks)
+    return Balance(coefficients, covariance, _EXPONENTS[chosen])

@@ -12,8 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from sindy_surge.discover.loop_balance import best_terms, sandwich
-from sindy_surge.discover.loop_signals import smoothed
+from sindy_surge.discover.loop_balance import FittedSum, best_terms, block_covariance
+from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.free_run import run_lag
+from sindy_surge.library import hinge_name, monomial_name
+from sindy_surge.linear_problem import least_squares
+from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
@@ -26,7 +30,7 @@ _TAUS_S = np.geomspace(2e-3, 80e-3, 12)
 
 
 @dataclass(frozen=True)
-class Branch:
+class Branch(FittedSum):
     """One branch of the characteristic: f(φ) = Σ β_i s_i(φ).
 
     Parameters
@@ -35,82 +39,48 @@ class Branch:
         ``"stalled"``, ``"unstalled"`` or ``"single"``.
     powers : tuple of int
         Powers of φ; -1 and -2 stand for relu(φ - knot) and its square.
-    coefficients, stderr : ndarray of shape (n_terms,)
-        β_i and their standard errors.
-    covariance : ndarray of shape (n_terms, n_terms)
-        Covariance of the β_i.
     knot : float
         Where relu(φ - knot) begins; nan without one.
     """
 
     name: str
     powers: tuple[int, ...]
-    coefficients: FloatArray
-    covariance: FloatArray
     knot: float
-
-    @property
-    def stderr(self) -> FloatArray:
-        """Standard errors of the coefficients."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms."""
-        return tuple(
-            f"relu(phi-{self.knot:.4g})" + "^2" * (p == -2)
-            if p < 0
-            else ("1", "phi")[p]
-            if p < 2
-            else f"phi^{p}"
-            for p in self.powers
-        )
+        kink = hinge_name("phi", float(f"{self.knot:.4g}"))
+        named = ((kink, -p) if p < 0 else ("phi", p) for p in self.powers)
+        return tuple(monomial_name([name], [power]) for name, power in named)
 
     def __call__(self, phi: FloatArray) -> FloatArray:
         """Return f(φ), of the shape of φ."""
-        return np.asarray(self.coefficients @ _candidates(phi, self.powers, self.knot))
+        return _candidates(phi, self.powers, self.knot) @ self.coefficients
 
 
 @dataclass(frozen=True)
 class LagRows:
-    """The rows that the lag is fitted to.
+    """The rows that the lag is fitted to."""
 
-    Parameters
-    ----------
-    phi : ndarray of shape (n_rows,)
-        Smoothed φ of all records, one behind the other.
-    psi_p : ndarray of shape (n_rows,)
-        Measured ψ'.
-    starts : ndarray of int of shape (n_records,)
-        First row of each record.
-    sample_period_s : float
-        Sample period in seconds.
-    rearm : float
-        By how much φ must have been beyond a level before it can cross it, against noise.
-    period_samples : int
-        Rows of a surge cycle.
-    noise : float
-        White noise of φ before it was smoothed.
-    """
-
-    phi: FloatArray
-    psi_p: FloatArray
-    starts: IntArray
-    sample_period_s: float
-    rearm: float
-    period_samples: int
-    noise: float
+    phi: FloatArray  # (n_rows,): Smoothed φ of all records, one behind the other
+    psi_p: FloatArray  # (n_rows,): Measured ψ'
+    runs: Segments  # The rows of each record
+    sample_period_s: float  # Sample period in seconds
+    period_samples: int  # Rows of a surge cycle
+    noise: float  # White noise of φ before it was smoothed
 
     @property
-    def blocks(self) -> IntArray:
-        """Number of the cycle that each row belongs to."""
-        return np.arange(self.phi.size) // self.period_samples
+    def cycles(self) -> list[slice]:
+        """The rows of each cycle."""
+        starts = range(0, self.phi.size, self.period_samples)
+        return [slice(start, start + self.period_samples) for start in starts]
 
     def twin(self, psi_p: FloatArray, rng: np.random.Generator) -> LagRows:
         """Return the record measured again: φ with new noise and smoothed, ψ' as given."""
         noisy = self.phi + self.noise * rng.standard_normal(self.phi.size)
-        pieces = np.split(noisy, self.starts[1:])
-        return replace(self, phi=np.concatenate([smoothed(x)[0] for x in pieces]), psi_p=psi_p)
+        smooth = [smoothed(noisy[rows], self.noise) for rows in self.runs.slices()]
+        return replace(self, phi=np.concatenate(smooth), psi_p=psi_p)
 
 
 @dataclass(frozen=True)
@@ -179,26 +149,9 @@ def _stalled_share(
     return share
 
 
-@njit(cache=True)
-def _responses(
-    columns: FloatArray, share: FloatArray, gains: FloatArray, starts: IntArray
-) -> FloatArray:
-    """Free run of x[k] = a x[k-1] + share[k] (now s[k] + before s[k-1]) for each column s."""
-    out = np.zeros(columns.shape)
-    a, now, before = gains
-    for i in range(columns.shape[0]):
-        first = 0
-        for k in range(columns.shape[1]):
-            if first < starts.size and k == starts[first]:
-                first += 1
-                continue
-            drive = now * columns[i, k] + before * columns[i, k - 1]
-            out[i, k] = a * out[i, k - 1] + share[k] * drive
-    return out
-
-
 def _candidates(phi: FloatArray, powers: tuple[int, ...], knot: float) -> FloatArray:
-    return np.stack([np.maximum(phi - knot, 0.0) ** -p if p < 0 else phi**p for p in powers])
+    columns = [np.maximum(phi - knot, 0.0) ** -p if p < 0 else phi**p for p in powers]
+    return np.column_stack(columns)
 
 
 def _free_run(
@@ -206,36 +159,34 @@ def _free_run(
 ) -> FloatArray:
     """Return the free run of every column: stalled, unstalled, then the start of each record."""
     lag = FirstOrderLag(tau_s, rows.sample_period_s, "first")
-
-    def respond(share: FloatArray) -> FloatArray:
-        gains = np.array([lag.a, lag.gain_now, lag.gain_before])
-        return np.asarray(_responses(columns, share, gains, rows.starts))
-
-    stops = np.append(rows.starts[1:], rows.phi.size)
-    decay = np.zeros((rows.starts.size, rows.phi.size))
-    for row, begin, end in zip(decay, rows.starts, stops, strict=True):
-        row[begin:end] = lag.a ** np.arange(end - begin)
+    drive = lag.gain_now * columns
+    drive[1:] += lag.gain_before * columns[:-1]
+    starts = rows.runs.starts
+    decay = np.zeros((rows.phi.size, starts.size))
+    which = np.repeat(np.arange(starts.size), rows.runs.lengths)
+    decay[np.arange(rows.phi.size), which] = lag.a ** rows.runs.offsets().astype(float)
     if not levels:
-        return np.vstack((respond(np.ones(rows.phi.size)), decay))
-    recover, stall = levels
-    share = _stalled_share(rows.phi, rows.starts, recover, stall, rows.rearm)
-    return np.vstack((respond(share), respond(1 - share), decay))
+        return np.column_stack((run_lag(drive, rows.runs, lag.a), decay))
+    # By how much φ must have been beyond a level before it can cross it, against noise.
+    stalled = _stalled_share(rows.phi, starts, levels[0], levels[1], 2.0 * rows.noise)[:, None]
+    both = np.column_stack((stalled * drive, (1.0 - stalled) * drive))
+    return np.column_stack((run_lag(both, rows.runs, lag.a), decay))
 
 
 def _rest(design: FloatArray, psi_p: FloatArray) -> float:
     """Return the root mean square that the columns of the free run leave of ψ'."""
-    if np.any(np.all(design == 0, axis=1)):
+    if np.any(np.all(design == 0, axis=0)):
         return np.inf
-    gram = design @ design.T
+    gram = design.T @ design
     gram[np.diag_indices_from(gram)] += 1e-10 * np.trace(gram) / len(gram)
-    beta = np.linalg.solve(gram, design @ psi_p)
-    return float(np.sqrt(np.mean((psi_p - beta @ design) ** 2)))
+    beta = np.linalg.solve(gram, design.T @ psi_p)
+    return float(np.sqrt(np.mean((psi_p - design @ beta) ** 2)))
 
 
 def _chebyshev(phi: FloatArray, degree: int) -> FloatArray:
     low, high = float(phi.min()), float(phi.max())
     z = (2 * phi - low - high) / (high - low)
-    return np.ascontiguousarray(np.polynomial.chebyshev.chebvander(z, degree).T)
+    return np.asarray(np.polynomial.chebyshev.chebvander(z, degree), dtype=np.float64)
 
 
 def _descend(
@@ -273,7 +224,7 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     def rest(tau_s: float, knot: float) -> float:
         columns = smooth
         if np.isfinite(knot):
-            columns = np.vstack((smooth, _candidates(rows.phi, (-1, -2, -3), knot)))
+            columns = np.column_stack((smooth, _candidates(rows.phi, (-1, -2, -3), knot)))
         return _rest(_free_run(rows, columns, tau_s), rows.psi_p)
 
     span = float(np.ptp(rows.phi))
@@ -317,7 +268,7 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
         if not (low < recover < high and low < stall < high):
             return np.inf
         design = _free_run(rows, columns, tau, (recover, stall))
-        return _rest(design[:, thin], rows.psi_p[thin])
+        return _rest(design[thin], rows.psi_p[thin])
 
     taus = tau_s * np.array([0.7, 1.0, 1.5])
     ranked = sorted((rest(t, r, s), t, r, s) for t in taus for r in grid for s in grid)
@@ -365,13 +316,12 @@ def _settled(
     n_branches = 2 if levels else 1
     n_terms = n_branches * len(powers)
     kept = np.arange(n_terms)
-    n_nonlinear = 1 + len(levels) + int(np.isfinite(knot))
 
     def design(at: FloatArray, rows: LagRows = rows) -> FloatArray:
         here = float(at[-1]) if np.isfinite(knot) else np.nan
         columns = _candidates(rows.phi, powers, here)
         full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
-        return np.vstack((full[kept], full[n_terms:]))
+        return np.column_stack((full[:, kept], full[:, n_terms:]))
 
     at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
     for _ in range(2):
@@ -380,43 +330,37 @@ def _settled(
         kept = chosen
         at = _descend(lambda v: _rest(design(v), rows.psi_p), at, np.full(at.size, 0.01))
     columns = design(at)
-    beta = np.linalg.lstsq(columns.T, rows.psi_p, rcond=None)[0]
-    left = rows.psi_p - beta @ columns
+    beta = least_squares(columns, rows.psi_p)
+    fitted = columns @ beta
+    left = rows.psi_p - fitted
     moves = []
-    for i in range(n_nonlinear):
-        move = np.zeros(at.size)
-        move[i] = 2e-3
-        moves.append(beta @ (design(at + move) - design(at - move)) / 4e-3)
-    spread = sandwich(np.vstack((columns, *moves)), left, rows.blocks)
-    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))[columns.shape[0] :]
+    for move in 2e-3 * np.eye(at.size):
+        moves.append((design(at + move) - design(at - move)) @ beta / 4e-3)
+    spread = block_covariance(np.column_stack((columns, *moves)), left, rows.cycles)
+    errors = np.sqrt(np.diag(spread))[columns.shape[1] :].tolist()
     rng = np.random.default_rng(0)
     again = []
     for _ in range(_TWINS):
-        twin = rows.twin(beta @ columns, rng)
+        twin = rows.twin(fitted, rng)
         found = _descend(_twin_rest(design, twin), at, np.full(at.size, 0.01))
-        linear = np.linalg.lstsq(design(found, twin).T, twin.psi_p, rcond=None)[0]
-        again.append(np.concatenate((found, linear)))
-    moved = 2 * np.concatenate((at, beta)) - np.mean(again, axis=0)
+        again.append(np.append(found, least_squares(design(found, twin), twin.psi_p)))
+    moved = 2 * np.append(at, beta) - np.mean(again, axis=0)
     at, beta = moved[: at.size], moved[at.size :]
     tau = float(np.exp(at[0]))
-    here = float(at[-1]) if np.isfinite(knot) else np.nan
     names = ("stalled", "unstalled") if levels else ("single",)
     branches = []
     for i, name in enumerate(names):
         own = np.flatnonzero(kept // len(powers) == i)
         chosen_powers = tuple(powers[j % len(powers)] for j in kept[own])
-        branches.append(Branch(name, chosen_powers, beta[own], spread[np.ix_(own, own)], here))
+        here = float(at[-1]) if min(chosen_powers, default=0) < 0 else np.nan
+        branches.append(Branch(beta[own], spread[np.ix_(own, own)], name, chosen_powers, here))
     return LagFit(
         tau,
-        tau * float(errors[0]),
-        tuple(
-            branches
-            if min(branches[0].powers, default=0) < 0
-            else (replace(b, knot=np.nan) for b in branches)
-        ),
+        tau * errors[0],
+        tuple(branches),
         tuple(at[1 : 1 + len(levels)].tolist()),
-        tuple(errors[1 : 1 + len(levels)].tolist()),
+        tuple(errors[1 : 1 + len(levels)]),
         float(np.sqrt(np.mean(left**2))),
-        kept.size + n_nonlinear,
+        kept.size + at.size,
         independent,
     )

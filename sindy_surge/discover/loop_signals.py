@@ -1,4 +1,4 @@
-"""Noisy signals of surge cycles: smoothed by the record's own risk, and their cycles measured."""
+"""The cycles of smooth signals, and a plenum pressure that was not measured."""
 
 from __future__ import annotations
 
@@ -7,13 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from sindy_surge.noise import difference_noise
-from sindy_surge.segments import Segments
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-_WIDTHS = (1, 5, 7, 9, 11, 13, 15, 17, 21, 25, 31, 37, 45)
-_ORDER = 3
 # The range of φ without spikes; a cycle counts once φ has been below the lower and above the
 # upper edge of its middle third, which noise and ripple do not reach.
 _RANGE = (0.01, 0.99)
@@ -38,37 +34,6 @@ class Cycles:
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
     n_cycles: int
-
-
-def smoothed(signal: FloatArray) -> tuple[FloatArray, float]:
-    """Smooth a signal by local cubics whose width has the least estimated risk.
-
-    Of a linear smoother S with centre weight s₀, mean (y - S y)² + 2 σ² s₀ - σ² estimates the
-    mean squared error without bias (Stein); σ is known from fourth differences.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n_rows,)
-        The signal with white noise.
-
-    Returns
-    -------
-    smooth : ndarray of shape (n_rows,)
-        The smoothed signal.
-    noise : float
-        σ, the standard deviation of the noise.
-    """
-    from scipy.signal import savgol_coeffs, savgol_filter
-
-    noise = difference_noise(signal, Segments.from_labels(None, signal.size))
-    best, least = signal, noise**2
-    for width in _WIDTHS[1:]:
-        trial = savgol_filter(signal, width, _ORDER)
-        centre = float(savgol_coeffs(width, _ORDER)[width // 2])
-        risk = float(np.mean((signal - trial) ** 2)) + (2 * centre - 1) * noise**2
-        if risk < least:
-            best, least = trial, risk
-    return best, noise
 
 
 def measure_cycles(states: FloatArray, sample_period_s: float) -> Cycles:

@@ -17,7 +17,10 @@ from sindy_surge.discover.loop_lag import (
     fit_one_branch,
     fit_two_branches,
 )
-from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles, smoothed
+from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles
+from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
 from sindy_surge.text import signed_sum
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -251,13 +254,16 @@ def discover_loop(
     step = float(sample_period_s)
     records = [_records(x) for x in (phi, psi_p, plenum) if x is not None]
     _check(records)
-    starts = np.cumsum([0, *(x.size for x in records[0][:-1])]).astype(np.int64)
+    labels = np.repeat(np.arange(len(records[0])), [x.size for x in records[0]])
+    runs = Segments.from_labels(labels, labels.size)
     measured = [np.concatenate(channel) for channel in records]
     smooth, noise = [], []
     for channel in records:
-        pairs = [smoothed(x) for x in channel]
-        smooth.append(np.concatenate([x for x, _ in pairs]))
-        noise.append(float(np.mean([sigma for _, sigma in pairs])))
+        levels = [difference_noise(x, Segments.from_labels(None, x.size)) for x in channel]
+        smooth.append(
+            np.concatenate([smoothed(*each) for each in zip(channel, levels, strict=True)])
+        )
+        noise.append(float(np.mean(levels)))
     cycles = measure_cycles(np.column_stack(smooth), step)
     if cycles.n_cycles < _FEWEST_CYCLES or cycles.period_s < _FEWEST_SAMPLES * step:
         raise InputError(
@@ -268,7 +274,7 @@ def discover_loop(
             remedy="use a longer record, or sample faster",
         )
     period_samples = round(cycles.period_s / step)
-    rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples, noise[0])
+    rows = LagRows(smooth[0], measured[1], runs, step, period_samples, noise[0])
     one, richest = fit_one_branch(rows)
     two = fit_two_branches(rows, one.time_constant_s)
     richest = min(richest, one.rest)
@@ -280,7 +286,7 @@ def discover_loop(
         measured.append(smooth[-1])
         cycles = measure_cycles(np.column_stack(smooth), step)
     states = np.column_stack(smooth)
-    duct, balance = (fit_balance(measured[i], states, starts, period_samples, step) for i in (0, 2))
+    duct, balance = (fit_balance(measured[i], states, runs, period_samples, step) for i in (0, 2))
     whole = states[: period_samples + 1]
     start = whole[int(np.argmin(whole[:, 0]))]
     none = Cycles(np.nan, (), (), 0)

@@ -3,38 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
 from surge_core.errors import InputError
-from surge_core.types import BoolArray, FloatArray, IndexArray
+from surge_core.types import BoolArray, FloatArray
 
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
+# Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
+# five standard deviations.
+LEAST_NOISE = 3.5e-4
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Trajectories one behind the other.
+    """Trajectories one behind the other."""
 
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows, n_states)
-        Measured states.
-    u : ndarray of shape (n_rows, n_inputs)
-        Inputs.
-    time_s : ndarray of shape (n_rows,)
-        Time of each row.
-    run : ndarray of int of shape (n_rows,)
-        Number of the trajectory of each row.
-    """
-
-    y: FloatArray
-    u: FloatArray
-    time_s: FloatArray
-    run: IndexArray
+    y: FloatArray  # (n_rows, n_states): Measured states
+    u: FloatArray  # (n_rows, n_inputs): Inputs
+    time_s: FloatArray  # (n_rows,): Time of each row
+    runs: Segments  # The rows of each trajectory
 
     @classmethod
     def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
@@ -63,12 +57,27 @@ class Trajectories:
                     remedy="take a longer record",
                 )
         run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
-        return cls(np.concatenate(xs), np.concatenate(us), np.concatenate(times), run)
+        runs = Segments.from_labels(run, run.size)
+        return cls(np.concatenate(xs), np.concatenate(us), np.concatenate(times), runs)
 
     @property
     def step_s(self) -> FloatArray:
         """Time from each row to the next, (n_rows - 1,); meaningless between trajectories."""
         return np.diff(self.time_s)
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Noise of each state that sixth differences show, which a smooth signal hardly has."""
+        shown = [difference_noise(y, self.runs, 6) for y in self.y.T]
+        return np.asarray(np.maximum(shown, LEAST_NOISE * np.std(self.y, axis=0)))
+
+    def smooth(self) -> FloatArray:
+        """Return the states, smoothed as far as their noise asks for."""
+        result = np.empty_like(self.y)
+        for j, noise in enumerate(self.noise.tolist()):
+            for rows in self.runs.slices():
+                result[rows, j] = smoothed(self.y[rows, j], noise)
+        return result
 
     def within(self, rows: int | None = None) -> BoolArray:
         """Return whether a row and the next belong together, (n_rows - 1,).
@@ -78,12 +87,8 @@ class Trajectories:
         rows : int, optional
             Cut each trajectory into segments of so many rows.
         """
-        joined: BoolArray = self.run[1:] == self.run[:-1]
-        if rows is None:
-            return joined
-        starts = np.searchsorted(self.run, self.run)
-        offset = np.arange(self.run.size) - starts
-        return np.asarray(joined & (offset[1:] % rows != 0))
+        offset = self.runs.offsets()[1:]
+        return np.asarray(offset % rows != 0 if rows else offset > 0)
 
     def middle_inputs(self) -> FloatArray:
         """Return the inputs half-way between rows (n_rows - 1, n_inputs), by cubics."""
@@ -97,38 +102,24 @@ class Trajectories:
         inner[1:-1] = joined[:-2] & joined[1:-1] & joined[2:]
         return np.where(inner[:, None], cubic, linear)
 
-    def pieces(self) -> list[slice]:
-        """Return the rows of each trajectory."""
-        ends = np.flatnonzero(np.diff(self.run)) + 1
-        edges = [0, *ends.tolist(), self.run.size]
-        return [slice(a, b) for a, b in pairwise(edges)]
-
 
 def _listed(name: str, values: Any) -> list[FloatArray]:
+    from sklearn.utils import check_array
+
     several = isinstance(values, list | tuple) and np.ndim(values[0]) > 0
     try:
-        arrays = [np.asarray(v, dtype=np.float64) for v in (values if several else [values])]
-    except (TypeError, ValueError):
+        arrays = [
+            check_array(each, dtype=np.float64, ensure_2d=False, input_name=name)
+            for each in (values if several else [values])
+        ]
+    except (TypeError, ValueError) as error:
         raise InputError(
-            name, expected="numbers", found="something else", remedy="pass arrays of floats"
-        ) from None
-    arrays = [a[:, None] if a.ndim == 1 else a for a in arrays]
-    for a in arrays:
-        if a.ndim != 2 or not a.size:
-            raise InputError(
-                name,
-                expected="an array of shape (n_rows, n_columns), or a list of such",
-                found=f"shape {a.shape}",
-            )
-        if not np.isfinite(a).all():
-            row = int(np.flatnonzero(~np.isfinite(a).all(axis=1))[0])
-            raise InputError(
-                name,
-                expected="finite values",
-                found=f"NaN or infinity in row {row}",
-                remedy="cut the record there and pass the parts as trajectories",
-            )
-    return arrays
+            name,
+            expected="finite numbers of shape (n_rows, n_columns), or a list of such arrays",
+            found=str(error),
+            remedy="cut the record at a gap and pass the parts as trajectories",
+        ) from error
+    return [np.reshape(each, (len(each), -1)) for each in arrays]
 
 
 def _times(t: Any, rows: int) -> FloatArray:

@@ -2,21 +2,23 @@ from __future__ import annotations
 
 import math
 import pickle
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from pysindy import PolynomialLibrary
 from scipy.integrate import solve_ivp
 
 from sindy_surge import InputError
+from sindy_surge.candidate_terms import CandidateTerms
+from sindy_surge.free_run import FreeModel
 from sindy_surge.summary import interval95
 from sindy_surge.text import (
     EquationParts,
     pysindy_equations,
-    rate_of,
     write_equation,
 )
+from surge_core.lag import FirstOrderLag
 
 QUADRATIC = EquationParts(
     ("1", "phi", "phi^2"), (0.35, 1.2, -1.9), (0.004, 0.03, 0.05), 0.018, 0.0002
@@ -48,7 +50,10 @@ def test_pysindy_strings_are_those_of_the_rate() -> None:
 
 
 def test_the_function_integrates_to_the_exponential_of_the_lag() -> None:
-    rate = pickle.loads(pickle.dumps(partial(rate_of, QUADRATIC, quadratic_terms)))
+    terms = CandidateTerms(PolynomialLibrary(2), PHI[:, None], ["phi"])
+    lag = FirstOrderLag(QUADRATIC.time_constant_s, 1e-3, "first")
+    model = FreeModel(terms, np.arange(3), np.array(QUADRATIC.coef), lag, (0.0, 1.0))
+    rate = pickle.loads(pickle.dumps(model.rate))
     rest = 0.35 + 1.2 * 0.2 - 1.9 * 0.04
     found = solve_ivp(lambda t, y: rate(y, 0.2), (0, 0.018), [1.0], rtol=1e-10, atol=1e-12)
     assert found.y[0, -1] == pytest.approx(rest + (1 - rest) * np.exp(-1), rel=1e-8)
@@ -56,16 +61,12 @@ def test_the_function_integrates_to_the_exponential_of_the_lag() -> None:
     assert rate(np.zeros((3, 1)), PHI).shape == (3, PHI.size)
 
 
-def quadratic_terms(x: np.ndarray, psi_p: np.ndarray) -> np.ndarray:
-    return np.hstack([x**0, x, x**2])
-
-
 def test_interval_covers_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     inside = 0
     for value in 0.018 + 0.002 * rng.standard_normal(2000):
-        low, high = interval95(value, 0.002, positive=True)
+        low, high = interval95(value, 0.002)
         inside += low <= 0.018 <= high
     assert 0.93 < inside / 2000 < 0.97
-    assert interval95(0.001, 0.002, positive=True)[0] == 0.0
+    assert interval95(0.001, 0.002)[0] == 0.0
     assert all(map(math.isnan, interval95(1.0, math.nan)))

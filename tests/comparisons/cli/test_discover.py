@@ -64,9 +64,14 @@ def test_functions_of_a_column_join_the_library(files, capsys):
     assert "ok: " in capsys.readouterr().out
 
 
-def test_one_state_alone_is_not_called_ok(files, capsys):
-    assert main(["discover", str(files[0]), "--states", "x"]) == 0
-    assert capsys.readouterr().out.startswith(("unexplained: ", "no_equations: "))
+def test_one_state_alone_is_not_called_ok_and_no_equation_is_stated(files, tmp_path, capsys):
+    out = tmp_path / "d.json"
+    assert main(["discover", str(files[0]), "--states", "x", "--json", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(("unexplained: ", "no_equations: "))
+    assert "dx/dt" not in text
+    document = json.loads(out.read_text())
+    assert document["equations"] == document["rivals"] == []
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,10 @@ import pytest
 from surge_machines import STEP_S, draw, measured
 
 from sindy_surge import InputError, SurgeLoop, discover_loop
-from sindy_surge.discover.loop_signals import measure_cycles, smoothed
+from sindy_surge.discover.loop_signals import measure_cycles
+from sindy_surge.discover.smoothing import smoothed
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
 from surge_core.fit_state import FitState
 
 
@@ -92,10 +95,11 @@ def test_smoothing_lowers_the_noise_and_leaves_a_clean_signal() -> None:
     t = np.arange(2000) * STEP_S
     clean = np.sin(2 * np.pi * 3 * t)
     noisy = clean + np.random.default_rng(0).normal(0, 0.02, t.size)
-    smooth, noise = smoothed(noisy)
+    noise = difference_noise(noisy, Segments.from_labels(None, t.size))
+    smooth = smoothed(noisy, noise)
     assert noise == pytest.approx(0.02, rel=0.15)
     assert np.std(smooth - clean) < 0.008
-    assert np.max(np.abs(smoothed(clean)[0] - clean)) < 1e-4
+    assert np.max(np.abs(smoothed(clean, 0.0) - clean)) < 1e-4
 
 
 @pytest.mark.parametrize(

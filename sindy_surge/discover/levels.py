@@ -1,0 +1,122 @@
+"""The search on segments that grow: short ones first, which a wrong model still follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sindy_surge.discover.collocation import Collocation, Fit
+from sindy_surge.discover.trajectories import LEAST_NOISE
+from sindy_surge.linear_problem import LinearProblem, Support
+from sindy_surge.search import Search, Tried, best_of_equation, chosen_support
+from surge_core.types import FloatArray, IndexArray
+
+# Rows of the segments on which the full library is fitted. Supports are compared on the last of
+# them, and then on longer ones.
+_FULL_ROWS = (30, 60)
+_LONGER_ROWS = (300, None)
+# A coefficient is at first believed to make no term larger than so many times the derivative.
+_LARGEST_TERM = 10.0
+# Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
+_START_RIDGE = 1e-4
+
+
+@dataclass
+class Level(Search[Fit]):
+    """Supports tried on segments of one length."""
+
+    likelihood: Collocation
+
+
+def search_by_levels(
+    problem: Collocation,
+    rates: FloatArray,
+    given: Sequence[int],
+    optimizer: Any,
+    *,
+    full: bool,
+) -> tuple[list[Level], Tried[Fit]]:
+    """Return the supports tried at each length of segments, the last first, and the best."""
+    n_terms, n_states = problem.known.shape
+    equations = [
+        tuple(range(state * n_terms, (state + 1) * n_terms))
+        for state in range(n_states)
+        if state not in given
+    ]
+    fit, problem = _fit_all(problem, rates, np.concatenate(equations))
+    # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
+    price = float(np.log(len(problem.data.y)) + 2.0 * np.log(n_terms))
+    short = Level(problem.cut(_FULL_ROWS[-1]), equations, price)
+    linear = short.likelihood.regression(fit)
+    by = type(optimizer).__name__
+    chosen, promising = _proposals(linear, equations, price, optimizer)
+    if not full:
+        whole = Level(problem.cut(None), equations, price)
+        return [whole], whole.try_support(chosen, fit, by)
+    tries = [short.try_support(chosen, fit, by)]
+    tries.append(short.try_support(promising, fit, "regression"))
+    best = min(tries, key=lambda t: t.score)
+    levels = [short]
+    if not np.isfinite(best.score):
+        return levels, best
+    best = short.climb(best)
+    for rows in _LONGER_ROWS:
+        if rows is not None and rows >= problem.data.runs.lengths.max():
+            continue
+        level = Level(problem.cut(rows), equations, price)
+        start = level.try_support(best.support, best.fit, best.by)
+        if not np.isfinite(start.score):
+            break
+        best = level.climb(start)
+        levels.insert(0, level)
+    return levels, best
+
+
+def _proposals(
+    linear: LinearProblem, equations: Sequence[Support], price: float, optimizer: Any
+) -> tuple[list[int], list[int]]:
+    """Return what the optimizer chooses, and the best by the regression, each by equation.
+
+    For one equation all terms of the others are left free.
+    """
+    chosen, promising = [], []
+    for own in equations:
+        others = [i for each in equations if each is not own for i in each]
+        rest = linear.beside(others, own)
+        chosen += [own[i] for i in chosen_support(rest, optimizer)]
+        ranked = best_of_equation(rest, tuple(range(len(own))), (), price)
+        promising += [own[i] for i in min(ranked)[1]]
+    return chosen, promising
+
+
+def _fit_all(problem: Collocation, rates: FloatArray, free: IndexArray) -> tuple[Fit, Collocation]:
+    """Fit the whole library on short segments, and with it the noise."""
+    x = problem.data.smooth()
+    x[:, problem.hidden] = problem.data.y[:, problem.hidden]
+    theta = problem.features.values(x, problem.data.u)
+    n_terms, n_states = problem.known.shape
+    size = np.sqrt(np.mean(theta**2, axis=0))
+    prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
+    ridge = (prior.T.ravel()[free]) ** -2.0
+    scaled = theta / size
+    small = _START_RIDGE * len(scaled) * np.eye(n_terms)
+    target = scaled.T @ (rates - theta @ problem.known)
+    xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
+    fit = Fit(xi, x, np.inf, np.eye(free.size), False)
+    for rows in _FULL_ROWS:
+        fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
+    own = problem.cut(_FULL_ROWS[-1])
+    n_rows = len(problem.data.y)
+    starts = 1 + int(np.count_nonzero(~own.joined))
+    spent = starts + free.size / n_states
+    left = problem.data.y - fit.x
+    found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
+    floor = LEAST_NOISE * np.std(problem.data.y, axis=0)
+    noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
+    if np.isfinite(fit.chi2):
+        problem = replace(problem, noise=noise)
+        fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
+    return fit, problem
