@@ -51,14 +51,7 @@ def calibrate(
 ) -> Record:
     """Turn counts into pascal and indicated into total temperatures, T_i over the recovery factor.
 
-    Parameters
-    ----------
-    record : Record
-        Counts or Pa, and kelvin, as read.
-    test : TestDescription
-        Calibration of each channel.
-    shifts : mapping of str to float, optional
-        What is added to each channel besides, in Pa and K, from :func:`near_stall_match`.
+    ``shifts`` are added to the channels besides, in Pa and K, from :func:`near_stall_match`.
     """
     moved = shifts or {}
     added = []
@@ -135,19 +128,9 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
     of the aft ones. The difference of a pair decides the flow, and its error does not average
     out near zero flow, where M grows with the root of it; so the aft probe is moved with its
     forward mate and the difference stays as the zero and calibrate readings give it. Only biases
-    change, no sensitivity. A channel whose reading does not count is left alone.
-
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures and temperatures; not looked at where the test states the shifts.
-    test : TestDescription
-        The facility's reading.
-
-    Raises
-    ------
-    InputError
-        When a channel is off by more than a fifth of the reading.
+    change, no sensitivity. A channel whose reading does not count is left alone; one that is off by
+    more than a fifth of the reading is refused. Where the test states the shifts, the record, which
+    is calibrated, is not looked at.
     """
     stated = test.near_stall_shifts
     steady = None if stated else record.part(near_stall_rows(record, test))

@@ -48,25 +48,10 @@ RANK_LIMIT = 1e-13
 class LagFit:
     """What a fit found, in the units of the user.
 
-    Parameters
-    ----------
-    shape : ndarray
-        Logarithm of τ in seconds, ρ of C.
-    coef : ndarray of shape (q,)
-        β of the terms as the user knows them.
-    drift : ndarray of shape (d,)
-        Coefficients of the drift.
-    moves : ndarray of shape (n_blocks, 1 + q)
-        By how much log τ and β move without each block.
-    curve_moves : ndarray of shape (n_blocks, r)
-        Moves of the coefficients of nearly orthogonal terms, their mean taken out. In powers of
-        φ the moves of β all but cancel in those of the curve; these do not.
-    cost : float
-        Sum of squared weighted errors.
-    n_errors, n_lags : int
-        Scored errors, and lags over which they hang together.
-    state : FitState
-        How it ended.
+    ``shape`` is log τ and ρ of C, ``coef`` β of the terms as the user knows them. ``moves``, a row
+    a block, is by how much log τ and β move without it; ``curve_moves`` are those of the
+    coefficients of nearly orthogonal terms, their mean taken out: in powers of φ the moves of β all
+    but cancel in those of the curve. ``n_lags`` is over how many errors they hang together.
     """
 
     shape: FloatArray
@@ -84,16 +69,8 @@ class LagFit:
 class Newton:
     """The cost near a profile, as a parabola in the free shape parameters.
 
-    Parameters
-    ----------
-    slope : ndarray of shape (s,)
-        Half the downhill slope of the cost.
-    curvature : ndarray of shape (s, s)
-        Half its curvature (Gauss-Newton), everything linear following.
-    jacobian : ndarray of shape (m, s + r + d)
-        ∂e/∂(free shape, β, drift).
-    normal : ndarray of shape (r, r)
-        Inner products of its columns of β, the drift apart.
+    ``slope`` and ``curvature`` are half of what they are called (Gauss-Newton, everything linear
+    following); ``normal`` holds the inner products of the columns of β, the drift apart.
     """
 
     slope: FloatArray
@@ -120,15 +97,7 @@ class Newton:
 
 
 def newton(data: LagData, at: Profile) -> Newton:
-    """Return slope and curvature of the cost in the free shape parameters.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        Where.
-    """
+    """Return slope and curvature of the cost at a profile."""
     s = int(data.free.sum())
     both = jacobian(data, at)
     gram = both.T @ both
@@ -146,15 +115,7 @@ def _eliminated(gram: FloatArray, kept: int) -> FloatArray:
 
 
 def fit_lag(data: LagData, terms: Terms) -> LagFit:
-    """Fit a lag model to a record.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model, its terms those of ``terms``.
-    terms : Terms
-        How they come from the user's.
-    """
+    """Fit a lag model to a record; ``terms`` says how those of the data come from the user's."""
     is_long = data.rows_of_errors.size > LONG_RECORD
     at, near, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
@@ -185,16 +146,7 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
 def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> FloatArray:
     """Return by how much the parameters move without each block of errors, linearised.
 
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        The whole fit.
-    both : ndarray of shape (m, s + r + d)
-        Its ∂e/∂(free shape, β, drift).
-    blocks : list of slice
-        Errors of each block, in one stretch.
+    ``both`` is ∂e/∂(free shape, β, drift) of the whole fit.
     """
     moves = leave_out(both, at.errors, blocks).moves
     r, d = at.beta.size, at.levels.size

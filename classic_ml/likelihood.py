@@ -23,16 +23,10 @@ FORGOTTEN = 1e-17
 
 @dataclass(frozen=True)
 class Start:
-    """What the unknown start of a piece adds to its errors, as orthonormal columns.
+    """What the unknown start of a piece adds to those errors that still feel it.
 
-    Parameters
-    ----------
-    errors : slice
-        The errors that still feel it.
-    basis : ndarray of shape (m, order)
-        Its columns there.
-    size : float
-        Norm of the one column a^k, for output error.
+    The columns of ``basis`` are orthonormal; ``size`` is the norm of the one column a^k of output
+    error.
     """
 
     errors: slice
@@ -42,24 +36,11 @@ class Start:
 
 @dataclass(frozen=True)
 class Profile:
-    """The errors at a shape, everything linear at its optimum.
+    """The weighted errors at a shape (log τ, ρ), everything linear at its optimum.
 
-    Parameters
-    ----------
-    shape : ndarray
-        log τ, ρ.
-    beta : ndarray of shape (r,)
-        Coefficients of the terms.
-    levels : ndarray of shape (d,)
-        Coefficients of the drift.
-    errors : ndarray of shape (m,)
-        Weighted errors.
-    columns : ndarray of shape (m, r + d)
-        -∂e/∂(β, drift), the starts projected out.
-    starts : tuple of Start
-        The starts of the pieces.
-    offsets : ndarray of shape (n_starts,)
-        Coefficient of each start, for output error.
+    ``beta`` and ``levels`` are the coefficients of terms and drift, ``columns`` are
+    -∂e/∂(beta, levels) with the starts projected out, ``offsets`` the coefficients of the starts
+    for output error.
     """
 
     shape: FloatArray
@@ -77,17 +58,7 @@ class Profile:
 
 
 def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) -> Profile:
-    """Return the errors at a shape, with the best β, drift and starts.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    shape : ndarray
-        log τ, ρ.
-    beta : ndarray of shape (r,), optional
-        Coefficients of the terms, where they are given.
-    """
+    """Return the errors at a shape, with the best drift and starts, and the best β if not given."""
     lag, whitener = data.lag(shape[0]), MovingAverage(shape[1:])
     both = _columns_and_target(data, lag, whitener)
     starts = _starts(data, lag, whitener)
@@ -95,7 +66,7 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
     gram = both.T @ both
     r = data.terms.shape[1]
     if beta is None:
-        linear = _least_squares(gram)
+        linear = np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0]
     else:
         right = gram[r:-1, -1] - gram[r:-1, :r] @ beta
         linear = np.concatenate([beta, np.linalg.lstsq(gram[r:-1, r:-1], right)[0]])
@@ -107,19 +78,7 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
 
 
 def jacobian(data: LagData, at: Profile) -> FloatArray:
-    """Return ∂e/∂(free shape, β, drift), the starts projected out.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        What :func:`profile` gave.
-
-    Returns
-    -------
-    ndarray of shape (m, n_shape + r + d)
-    """
+    """Return ∂e/∂(free shape, β, drift) at a profile, the starts projected out."""
     n_shape = int(data.free.sum())
     both = np.zeros((at.errors.size, n_shape + at.columns.shape[1]), order="F")
     slopes = both[:, :n_shape]
@@ -132,10 +91,6 @@ def jacobian(data: LagData, at: Profile) -> FloatArray:
     _project(at.starts, slopes)
     both[:, n_shape:] = -at.columns
     return both
-
-
-def _least_squares(gram: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0])
 
 
 def _project(starts: tuple[Start, ...], both: FloatArray) -> FloatArray:

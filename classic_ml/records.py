@@ -78,11 +78,10 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values)
-        if values.dtype != np.uint8:
-            values = np.asarray(values, dtype=np.float64)
+        given = np.asarray(self.values)
+        values = given if given.dtype == np.uint8 else np.asarray(given, dtype=np.float64)
         if values.flags.writeable:
-            values = values.copy()
+            values = values.copy() if values is given else values
             values.setflags(write=False)
         object.__setattr__(self, "values", values)
 

@@ -28,20 +28,10 @@ def power_spectrum(values: FloatArray, sample_rate_hz: float) -> tuple[FloatArra
 def peak_frequency_hz(
     frequency_hz: FloatArray, density: FloatArray, low_hz: float, high_hz: float
 ) -> float:
-    """Return the frequency of the highest peak in a band, between bins by a parabola.
+    """Return the frequency of the highest peak in a band.
 
-    Parameters
-    ----------
-    frequency_hz, density : ndarray of shape (m,)
-        From :func:`power_spectrum`.
-    low_hz, high_hz : float
-        Band to look in.
-
-    Returns
-    -------
-    float
-        Frequency of the vertex of the parabola through the logarithms of the highest bin and
-        its neighbours.
+    Between bins, as the vertex of the parabola through the logarithms of the highest bin and its
+    neighbours.
     """
     inside = np.flatnonzero((frequency_hz >= low_hz) & (frequency_hz <= high_hz))
     if inside.size == 0:

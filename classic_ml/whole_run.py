@@ -17,15 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_names
-from classic_ml.checks import (
-    CheckRow,
-    coverage,
-    input_correlation,
-    leverage,
-)
-from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, milliseconds
+from classic_ml.checks import CheckRow, coverage, input_correlation, leverage
+from classic_ml.fitted_curve import lag_sheet
 from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
+from classic_ml.records import counted
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     StackedRuns,
@@ -88,18 +84,14 @@ class WholeRunFit(Displayed):
     rows_: tuple[WholeRunRows, ...]
 
     def _sheet(self) -> Sheet:
-        state = self.fit_state_
-        held = " (held)" if self.model_.time_constant_s is not None else ""
-        n_rows, n_runs = sum(row.phi.size for row in self.rows_), len(self.rows_)
-        lag = self.time_constant_s_, self.time_constant_stderr_s_
-        curve = self.terms_, self.coef_, self.covariance_
-        fields = (
-            Field("equation", equation_with_errors(lag, *curve)),
-            Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
-            Field("time constant τ", milliseconds(*lag) + held),
+        n_rows = sum(row.phi.size for row in self.rows_)
+        return lag_sheet(
+            self,
+            self.fit_state_.advice,
+            self.model_.time_constant_s,
             Field(
                 "fitted to",
-                f"{n_runs} run{'' if n_runs == 1 else 's'} of unfiltered signals, {n_rows} rows, "
+                f"{counted(len(self.rows_), 'run')} of unfiltered signals, {n_rows} rows, "
                 "averaged over one period of the stall cells",
             ),
             Field(
@@ -108,7 +100,6 @@ class WholeRunFit(Displayed):
                 "blocks, with those that all cycles share",
             ),
         )
-        return Sheet("WholeRunFit", fields, (characteristic_grid(*curve),))
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -194,22 +185,38 @@ def fit_whole_runs(
     if not np.any(stacked.scored):
         return _refusal(model, rows, degree)
     stacked.fitted(model)
-    held, spread = time_constant_s is not None, Spread(0.0, np.zeros((degree + 1, degree + 1)))
-    if not held and until_s is None and not is_blowdown(rows):
+    blowdown, held = is_blowdown(rows), time_constant_s is not None
+    spread = Spread(0.0, np.zeros((degree + 1, degree + 1)))
+    if not held and until_s is None and not blowdown:
         spread = specification_spread(records, degree=degree, hold=hold)
-    return _result(model, rows, degree, spread)
+    state, tau_s, stderr_s = model.fit_state_, model.time_constant_s_, model.time_constant_stderr_s_
+    covariance = model.covariance_[: degree + 1, : degree + 1] + spread.curve
+    if not held:
+        stderr_s = math.hypot(stderr_s, spread.log_tau * tau_s)
+    if blowdown:
+        state = FitState.BLOWDOWN
+        covariance[:] = math.nan
+        # A held τ was not read from these rows.
+        tau_s, stderr_s = (tau_s, stderr_s) if held else (math.nan, math.nan)
+    return WholeRunFit(
+        tau_s,
+        stderr_s,
+        polynomial_names("phi", degree),
+        model.coef_[: degree + 1],
+        covariance,
+        degree,
+        int(model.n_blocks_),
+        state,
+        model,
+        rows,
+    )
 
 
 @dataclass(frozen=True)
 class Spread:
     """How far τ and the curve move under choices that could as well have been made.
 
-    Parameters
-    ----------
-    log_tau : float
-        Standard deviation of log τ.
-    curve : ndarray of shape (q, q)
-        Covariance of the coefficients.
+    The standard deviation of log τ, and the covariance of the coefficients.
     """
 
     log_tau: float
@@ -227,16 +234,7 @@ def specification_spread(
     """Fit other rows and another degree.
 
     A jackknife over cycles cannot see what all cycles share; what the choices of the fit make of it
-    shows here.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        At one sample rate, with their unfiltered columns.
-    degree : int
-        Of the characteristic.
-    hold : {"zero", "first"}
-        How φ acts between samples.
+    shows here. Arguments as for :func:`fit_whole_runs`.
     """
     rows = tuple(whole_run_rows(record, degree) for record in records)
     period_s = records[0].sample_period_s
@@ -285,38 +283,6 @@ def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -
         degree,
         0,
         FitState.BLOWDOWN,
-        model,
-        rows,
-    )
-
-
-def _result(
-    model: LagRegressor,
-    rows: tuple[WholeRunRows, ...],
-    degree: int,
-    spread: Spread,
-) -> WholeRunFit:
-    n_terms = degree + 1
-    state = model.fit_state_
-    covariance = model.covariance_[:n_terms, :n_terms] + spread.curve
-    held = model.time_constant_s is not None
-    tau_s, stderr_s = model.time_constant_s_, model.time_constant_stderr_s_
-    if not held:
-        stderr_s = math.hypot(stderr_s, spread.log_tau * tau_s)
-    if is_blowdown(rows):
-        state = FitState.BLOWDOWN
-        covariance[:] = math.nan
-        # A held τ was not read from these rows.
-        tau_s, stderr_s = (tau_s, stderr_s) if held else (math.nan, math.nan)
-    return WholeRunFit(
-        tau_s,
-        stderr_s,
-        polynomial_names("phi", degree),
-        model.coef_[:n_terms],
-        covariance,
-        degree,
-        int(model.n_blocks_),
-        state,
         model,
         rows,
     )

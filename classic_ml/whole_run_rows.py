@@ -139,15 +139,7 @@ def whole_run_rows(
 def scored_until(
     rows: Sequence[WholeRunRows], until_s: Sequence[float] | None
 ) -> tuple[WholeRunRows, ...]:
-    """Return the rows, scored up to a time only; the rest is held out.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    until_s : sequence of float, optional
-        Time for each record; without it all stays as it is.
-    """
+    """Return the rows of each record, scored up to its time only; the rest is held out."""
     if until_s is None:
         return tuple(rows)
     return tuple(
@@ -161,13 +153,7 @@ def scored_until(
 
 
 def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
-    """Tell whether hardly a row in stall is in forward flow: then τ is not to be read.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    """
+    """Tell whether hardly a row in stall is in forward flow: then τ is not to be read."""
     scored = sum(float(row.weight.sum()) for row in rows)
     in_stall = sum(row.in_stall_rows for row in rows)
     return scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS)
@@ -207,13 +193,7 @@ class StackedRuns:
 
 
 def stacked_rows(rows: Sequence[WholeRunRows]) -> StackedRuns:
-    """Return the runs one behind the other.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    """
+    """Return the runs one behind the other."""
     terms = np.concatenate([row.terms for row in rows])
     nuisance = np.concatenate([row.nuisance for row in rows])
     # Columns that are nothing would make the fit look rank deficient.

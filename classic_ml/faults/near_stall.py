@@ -45,13 +45,9 @@ def check_near_stall(
 ) -> LedgerEntry:
     """Check φ, and the flow of one plane against the other's, in the steady flow near stall.
 
-    The record is calibrated and matched; ``shifts`` is what the match has added to each channel.
-
-    Raises
-    ------
-    InputError
-        When the flow is not steady, W25 and W31 differ by more than a fifth, or no compressor has
-        such a φ.
+    The record is calibrated and matched; ``shifts`` is what the match has added to each channel. It
+    is refused when the flow is not steady, W25 and W31 differ by more than a fifth, or no
+    compressor has such a φ.
     """
     if test.near_stall_shifts:
         return LedgerEntry("near-stall flow", "not known: the reading is not in this record")

@@ -33,18 +33,9 @@ REACH, LEAP = 4, 2.0
 
 
 def range_ends(values: FloatArray) -> tuple[float, ...]:
-    """Return the readings at the ends of its range at which a channel is cut off.
+    """Return the readings at which a channel is cut off: the least, the largest, both or none.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The channel, as read.
-
-    Returns
-    -------
-    tuple of float
-        None, the least, the largest or both; none of a channel that is held, which stands still
-        everywhere.
+    None of a channel that is held, which stands still everywhere.
     """
     low, high = float(values.min()), float(values.max())
     if low == high:
