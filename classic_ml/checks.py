@@ -72,7 +72,6 @@ def residual_checks(
     X: ArrayLike,
     y: ArrayLike,
     segments: ArrayLike | None = None,
-    sample_weight: ArrayLike | None = None,
     *,
     stated_phi: tuple[float, float] | None = None,
 ) -> tuple[CheckRow, ...]:
@@ -88,8 +87,6 @@ def residual_checks(
         ψ' as measured.
     segments : array-like of int, shape (n,), optional
         Labels as in the fit; each segment counts as a cycle.
-    sample_weight : array-like of shape (n,), optional
-        Weights as in the fit; unscored rows are not checked.
     stated_phi : tuple of float, optional
         Range of φ in which the curve is to be stated; without it, all that the rows visit.
 
@@ -102,7 +99,7 @@ def residual_checks(
     if math.isnan(model.time_constant_s_):
         return ()
     inputs = np.asarray(X, dtype=np.float64)
-    fit = model.linearised(inputs, y, segments, sample_weight)
+    fit = model.linearised(inputs, y, segments)
     pieces = list(fit.pieces)
     errors, scored = fit.errors, inputs[fit.rows]
     names = feature_names(scored.shape[1], getattr(model, "feature_names_in_", None))

@@ -68,21 +68,25 @@ def filter_channels(
     order: int,
     cutoff_hz: float,
     phase: str,
+    done: dict[str, tuple[FloatArray, FloatArray]] | None = None,
 ) -> Record:
     """Filter channels of a record, all with the same filter.
 
     Pressures and temperatures alike: a delay that differs between φ and ψ' reads as dynamics. The
     undershoot of the filter makes no pressure lower than the least that was read: a channel that
-    it takes to zero or below is held there, and the history says so.
+    it takes to zero or below is held there, and the history says so. ``done`` holds what was
+    filtered alike before, and what came out; what is filtered now is added to it.
     """
     if phase == "none":
-        entry = LedgerEntry("filter", "no low-pass filter", {"phase": phase})
-        return record.after(entry)
-    rate, added = record.sample_rate_hz, []
+        return record.after(LedgerEntry("filter", "no low-pass filter", {"phase": phase}))
+    rate, added, done = record.sample_rate_hz, [], {} if done is None else done
     held: dict[str, str | int | float | bool] = {}
     for name in names:
         channel = record.channel(name)
-        smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+        before, smooth = done.get(name, (None, channel.values))
+        if before is not channel.values:
+            smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+            done[name] = channel.values, smooth
         least = np.min(channel.values, initial=np.inf)
         if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
             held[f"held_{name}"] = int(np.count_nonzero(smooth < least))

@@ -40,8 +40,10 @@ def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     It is constant before the first and behind the last known row; where no row is known, or all
     are, it is returned as it is.
     """
-    if known.all() or not known.any():
+    ends = intervals_where(~known) + np.array([-1, 0])
+    ends = np.unique(ends[(ends >= 0) & (ends < values.size)])
+    if not ends.size:
         return values
-    out = np.array(values)
-    out[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+    out, rows = np.array(values), np.flatnonzero(~known)
+    out[rows] = np.interp(rows, ends, values[ends])
     return out

@@ -165,7 +165,9 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if data.scored.size <= data.n_parameters(terms.shape[1]):
             self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
             return self
-        if self.time_constant_s is None and _is_constant(y[data.weight > 0.0]):
+        scored = y[data.weight > 0.0]
+        response = np.ptp(scored) > NO_RESPONSE * np.max(np.abs(scored))
+        if self.time_constant_s is None and not response:
             self._store_static(y, terms, data, FitState.RANK_DEFICIENT)
             return self
         self._store(fit_lag(data, combined), data, combined)
@@ -443,7 +445,3 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.residual_lag_ = 1
         self.n_blocks_ = 0
         self.n_scored_ = int(np.count_nonzero(data.weight))
-
-
-def _is_constant(values: FloatArray) -> bool:
-    return bool(np.ptp(values) <= NO_RESPONSE * np.max(np.abs(values)))

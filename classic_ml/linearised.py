@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from classic_ml.lag_data import LagData, Terms
-from classic_ml.likelihood import jacobian, profile
+from classic_ml.likelihood import profile
 from surge_core.leave_out import leave_out
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
@@ -51,7 +51,7 @@ class LinearisedFit:
 def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray) -> LinearisedFit:
     """Linearise about given parameters; starts and drift are the best for these."""
     at = profile(data, shape, beta)
-    both, n_shape = jacobian(data, at), int(data.free.sum())
+    both, n_shape = at.jacobian, at.n_shape
     # ∂e/∂τ from ∂e/∂log τ; a held τ does not move.
     fitted = int(data.held_log_tau is None)
     tau = both[:, :1] / np.exp(shape[0]) if fitted else np.zeros((both.shape[0], 1))

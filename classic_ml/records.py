@@ -138,12 +138,11 @@ class Record(Displayed):
         arrays: Mapping[str, tuple[ArrayLike, str]],
         *,
         sample_rate_hz: float,
-        start_s: float = 0.0,
         source: str = "",
     ) -> Record:
         """Build a record from ``{name: (values, unit)}``."""
         channels = {n: Channel(n, np.asarray(v), unit) for n, (v, unit) in arrays.items()}
-        return cls(channels, sample_rate_hz, start_s, source)
+        return cls(channels, sample_rate_hz, source=source)
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return the samples of one channel."""

@@ -59,6 +59,10 @@ class WholeRunRows:
         """Averaged φ of the rows that are scored: where a fit to them knows the curve."""
         return np.asarray(self.phi[self.weight > 0.0])
 
+    def without(self, left_out: BoolArray) -> WholeRunRows:
+        """Return the same with some rows simulated through."""
+        return replace(self, weight=np.where(left_out, 0.0, self.weight))
+
     @property
     def cycle(self) -> IntArray:
         """Number of the surge cycle of each row: from one entry into stall to the next."""
@@ -142,13 +146,10 @@ def scored_until(
     """Return the rows of each record, scored up to its time only; the rest is held out."""
     if until_s is None:
         return tuple(rows)
+    shares = [float(np.mean(row.time_s <= end)) for row, end in zip(rows, until_s, strict=True)]
     return tuple(
-        replace(
-            row,
-            weight=np.where(row.time_s <= end, row.weight, 0.0),
-            in_stall_rows=int(row.in_stall_rows * np.mean(row.time_s <= end)),
-        )
-        for row, end in zip(rows, until_s, strict=True)
+        replace(row.without(row.time_s > end), in_stall_rows=int(row.in_stall_rows * share))
+        for row, end, share in zip(rows, until_s, shares, strict=True)
     )
 
 

@@ -37,21 +37,20 @@ def range_ends(values: FloatArray) -> tuple[float, ...]:
 
     None of a channel that is held, which stands still everywhere.
     """
-    low, high = float(values.min()), float(values.max())
-    if low == high:
+    reached = {level: values == level for level in (float(values.min()), float(values.max()))}
+    reached = {level: at for level, at in reached.items() if np.count_nonzero(at) >= LEAST_ROWS}
+    steps = np.diff(values)
+    if not reached or not steps.any() or held_rows(values) > 1:
         return ()
+    step = float(np.min(np.abs(steps[steps != 0.0])))
+    coarse = float(np.median(np.abs(np.diff(steps)))) <= NOISY_STEPS * step
+    rises = step * np.array(SLOW_RISES if coarse else RISES)
     found = []
-    for level in (low, high):
-        at = values == level
-        if np.count_nonzero(at) < LEAST_ROWS or held_rows(values) > 1:
-            continue
-        steps = np.abs(np.diff(values))
-        step = float(np.min(steps[steps > 0.0]))
+    for level, at in reached.items():
         off = np.abs(values - level)
         beside = np.count_nonzero((off > 0.0) & (off <= NEAR_STEPS * step))
-        coarse = float(np.median(np.abs(np.diff(values, n=2)))) <= NOISY_STEPS * step
-        runs, rises = intervals_where(at), SLOW_RISES if coarse else RISES
-        runs = runs[_left_at_speed(values, runs, step * np.array(rises))]
+        runs = intervals_where(at)
+        runs = runs[_left_at_speed(values, runs, rises)]
         lengths = runs[:, 1] - runs[:, 0]
         if lengths.sum() < max(LEAST_ROWS, PILE * beside / NEAR_STEPS):
             continue

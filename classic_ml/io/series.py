@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from classic_ml.description import FileLayout
 from classic_ml.io.csv import open_csv
 from classic_ml.io.netcdf import check_items
 from classic_ml.io.table import fault_of
-from classic_ml.records import Dropped, LedgerEntry
+from classic_ml.records import LedgerEntry
 from classic_ml.series import (
     COLUMNS,
     COUNT_COLUMNS,
@@ -42,6 +43,7 @@ _ABOUT = {
 }
 _Columns = dict[str, NDArray[Any]]
 _History = tuple[LedgerEntry, ...]
+_LEDGER = TypeAdapter(_History)
 
 
 def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
@@ -162,12 +164,12 @@ def _read_csv(file: Path) -> tuple[_Columns, _History]:
     if not ledger.is_file():
         return columns, ()
     try:
-        return columns, _ledger_from_json(ledger.read_text("utf-8"))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        return columns, _LEDGER.validate_json(ledger.read_bytes())
+    except ValueError as error:
         raise InputError(
             str(ledger),
             expected="the ledger that `sindy-surge reduce` wrote",
-            found=f"something else ({error})",
+            found=f"something else ({' '.join(str(error).split())[:160]})",
             remedy="delete it or reduce the record again",
         ) from None
 
@@ -183,8 +185,8 @@ def _read_netcdf(file: Path) -> tuple[_Columns, _History]:
         columns = {name: dataset[name].values for name in names}
         text = str(dataset.attrs.get("history", "[]"))
     try:
-        return columns, _ledger_from_json(text)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return columns, _LEDGER.validate_json(text)
+    except ValueError:
         # Other programs write free text into this conventional attribute.
         return columns, (LedgerEntry("read", f"history attribute of {file.name}: {text}"),)
 
@@ -228,16 +230,3 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
 
 def _ledger_json(history: _History) -> str:
     return json.dumps([asdict(entry) for entry in history], indent=1, ensure_ascii=False)
-
-
-def _ledger_from_json(text: str) -> _History:
-    return tuple(
-        LedgerEntry(
-            step=str(entry["step"]),
-            did=str(entry["did"]),
-            parameters=dict(entry["parameters"]),
-            dropped=tuple(Dropped(**drop) for drop in entry["dropped"]),
-            flags=tuple(str(flag) for flag in entry["flags"]),
-        )
-        for entry in json.loads(text)
-    )

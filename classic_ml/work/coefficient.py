@@ -244,7 +244,7 @@ def fit_work_characteristic(
     cycles = np.unique(setup.cycle[setup.scored])
     n_terms = len(breakpoints) + 2
     if cycles.size < FEWEST_CYCLES or np.count_nonzero(setup.scored) < 10 * n_terms:
-        return _withheld(setup, int(cycles.size), math.nan, FitState.TOO_FEW_CYCLES)
+        return _answer(setup, int(cycles.size), math.nan, FitState.TOO_FEW_CYCLES)
     given = time_constant_s is not None
     cycle_s = (setup.rows.stop - setup.rows.start) * record.sample_period_s / cycles.size
     if time_constant_s is not None and time_constant_s > cycle_s:
@@ -257,9 +257,8 @@ def fit_work_characteristic(
     setup = min(setup, plain, key=lambda one: _fit(one, one.flow, time_constant_s).cost)
     fits = _fits(setup, time_constant_s)
     std = float(np.sqrt(np.mean(fits[0].residual ** 2)) / np.mean(setup.flow[setup.scored]))
-    blank = _withheld(setup, int(cycles.size), std, fits[0].at_bound)
-    if blank.fit_state is not FitState.CONVERGED:
-        return blank
+    if fits[0].at_bound is not FitState.CONVERGED:
+        return _answer(setup, int(cycles.size), std, fits[0].at_bound)
     theta = _corrected(*(fit.theta for fit in fits))[: 1 + n_terms]
     late = replace(setup, record=_a_sample_late(record))
     misaligned = _corrected(*(fit.theta for fit in _fits(late, time_constant_s)))
@@ -273,18 +272,10 @@ def fit_work_characteristic(
     if not given and theta[0] - 2.0 * log_error < np.log(SEARCHED_TAU_S[0]):
         wide = log_error > UNDETERMINED
         state = FitState.LAG_UNDETERMINED if wide else FitState.AT_LOWER_BOUND
-        return replace(blank, fit_state=state)
-    tau_s = float(np.exp(theta[0]))
-    low, high = np.percentile(setup.phi(setup.flow)[setup.scored], (5.0, 95.0))
-    return replace(
-        blank,
-        time_constant_s=tau_s,
-        time_constant_stderr_s=0.0 if given else tau_s * log_error,
-        coef=theta[1:],
-        covariance=covariance[1:, 1:],
-        valid_phi=(float(low), float(high)),
-        entry=_entry(setup, cycles.size, tau_s, std, given=given),
-    )
+        return _answer(setup, int(cycles.size), std, state)
+    # A τ that was given has no error.
+    covariance[0, 0] *= not given
+    return _answer(setup, int(cycles.size), std, FitState.CONVERGED, theta, covariance, given=given)
 
 
 def _a_sample_late(record: Record) -> Record:
@@ -421,33 +412,29 @@ def _responses(setup: _Setup, inputs: FloatArray, flow: FloatArray, log_tau: flo
     return setup.average(powers)[setup.scored]
 
 
-def _withheld(setup: _Setup, n_cycles: int, std: float, state: FitState) -> WorkCharacteristic:
-    """Answer a record that does not hold τ by a code, not by numbers."""
-    nan, n_terms = math.nan, len(setup.breakpoints) + 2
-    return WorkCharacteristic(
-        nan,
-        nan,
-        _terms(np.zeros(2), setup.breakpoints)[1],
-        np.full(n_terms, nan),
-        np.full((n_terms, n_terms), nan),
-        setup.breakpoints,
-        (nan, nan),
-        int(np.count_nonzero(setup.scored)),
-        n_cycles,
-        std,
-        state,
-        _entry(setup, n_cycles, nan, std, given=False),
-    )
-
-
-def _entry(
-    setup: _Setup, n_cycles: int, tau_s: float, scatter: float, *, given: bool
-) -> LedgerEntry:
-    scored = int(np.count_nonzero(setup.scored))
+def _answer(
+    setup: _Setup,
+    n_cycles: int,
+    std: float,
+    state: FitState,
+    theta: FloatArray | None = None,
+    covariance: FloatArray | None = None,
+    *,
+    given: bool = False,
+) -> WorkCharacteristic:
+    """Return what was found; without θ a code is the answer to a record that does not hold τ."""
+    names = _terms(np.zeros(2), setup.breakpoints)[1]
+    low = high = math.nan
+    if theta is None or covariance is None:
+        theta = np.full(1 + len(names), math.nan)
+        covariance = np.full((theta.size, theta.size), math.nan)
+    else:
+        low, high = np.percentile(setup.phi(setup.flow)[setup.scored], (5.0, 95.0)).tolist()
+    tau_s, scored = float(np.exp(theta[0])), int(np.count_nonzero(setup.scored))
     left = setup.rows.stop - setup.rows.start - scored
     impossible = int(np.count_nonzero(setup.impossible[setup.rows]))
     flag = f"{impossible} rows left out in which plane 31 shows more flow than plane 25 passes"
-    return LedgerEntry(
+    entry = LedgerEntry(
         "work characteristic",
         f"ψ_QS fitted to W25 ψ in {scored} rows of {n_cycles} cycles, τ "
         + ("given" if given else "fitted")
@@ -460,7 +447,21 @@ def _entry(
             "scored_phi": SCORED_PHI,
             "mixing_phi": setup.mixing_phi,
             "storage_between_planes": setup.stores,
-            "residual_std": round(scatter, 4),
+            "residual_std": round(std, 4),
         },
         flags=(flag,) if impossible else (),
+    )
+    return WorkCharacteristic(
+        tau_s,
+        tau_s * float(np.sqrt(covariance[0, 0])),
+        names,
+        theta[1:],
+        covariance[1:, 1:],
+        setup.breakpoints,
+        (low, high),
+        scored,
+        n_cycles,
+        std,
+        state,
+        entry,
     )
