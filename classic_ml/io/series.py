@@ -207,22 +207,20 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
 
 
 def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
-    import xarray as xr
+    import h5netcdf
 
     # Truths and counts are small: a series of hours is large.
     kinds = dict.fromkeys(TRUTH_COLUMNS, np.int8) | dict.fromkeys(COUNT_COLUMNS, np.int32)
-    variables = {
-        name: (
-            "time_s",
-            values.astype(kinds.get(name, values.dtype)),
-            {"units": UNITS[name], "long_name": LONG_NAMES[name]} if name in UNITS else {},
-        )
-        for name, values in series.columns().items()
-    }
     about = {**_ABOUT, "history": _ledger_json(series.history), "source": series.source}
-    encoding = {name: {"_FillValue": None} for name in variables}
     try:
-        xr.Dataset(variables, attrs=about).to_netcdf(file, engine="h5netcdf", encoding=encoding)
+        with h5netcdf.File(file, "w") as opened:
+            opened.attrs.update(about)
+            opened.dimensions["time_s"] = series.n_samples
+            for name, values in series.columns().items():
+                data = values.astype(kinds.get(name, values.dtype), copy=False)
+                column = opened.create_variable(name, ("time_s",), data.dtype, data)
+                if name in UNITS:
+                    column.attrs.update({"units": UNITS[name], "long_name": LONG_NAMES[name]})
     except RuntimeError as error:
         # HDF5 says in its own words that a disk is full, perhaps not before it closes the file.
         raise OSError(str(error)) from error
