@@ -127,8 +127,9 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
     taken = _project(starts, both)
     gram = both.T @ both
     r = data.terms.shape[1]
+    linear: FloatArray
     if beta is None:
-        linear = np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0]
+        linear = np.asarray(np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0], np.float64)
     else:
         right = gram[r:-1, -1] - gram[r:-1, :r] @ beta
         linear = np.concatenate([beta, np.linalg.lstsq(gram[r:-1, r:-1], right)[0]])

@@ -140,10 +140,6 @@ def select_order(
     progress : callable
         Wraps the iteration over the models, to show how far it is.
 
-    Returns
-    -------
-    OrderTable
-
     Raises
     ------
     InputError

@@ -360,7 +360,7 @@ def _with_states(
     free_run, entry = free_run_rows(unfiltered, stalled, inside, period_s)
     entry = replace(entry, parameters={**entry.parameters, **parameters}, flags=flags)
     columns = {"stalled": stalled, "free_run": free_run}
-    return record.after(entry, add=[Channel(n, v, "1") for n, v in columns.items()])
+    return record.after(entry, add=[Channel(n, v.astype(float), "1") for n, v in columns.items()])
 
 
 def _segmented(

@@ -220,7 +220,7 @@ def segment(
     did = f"{n_segments} segments with {n_scored} rows"
     columns = {"in_stall": state, "window": inside, "segment": labels}
     entry = LedgerEntry("segment", did, parameters, dropped, flags)
-    return record.after(entry, add=[Channel(n, v, "1") for n, v in columns.items()])
+    return record.after(entry, add=[Channel(n, v.astype(float), "1") for n, v in columns.items()])
 
 
 def _recovers(record: Record, window: slice) -> bool:

@@ -31,7 +31,7 @@ def power_spectrum(values: FloatArray, sample_rate_hz: float) -> tuple[FloatArra
     # The frequencies 0 and half the sample rate have no mirror image.
     density[0] /= 2.0
     density[-1] /= 2.0 - length % 2
-    return np.fft.rfftfreq(length, 1.0 / sample_rate_hz), density
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / sample_rate_hz), np.float64), density
 
 
 def peak_frequency_hz(

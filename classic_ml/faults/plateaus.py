@@ -43,8 +43,9 @@ def range_ends(values: FloatArray) -> tuple[float, ...]:
     if not reached or not steps.any() or held_rows(values) > 1:
         return ()
     step = float(np.min(np.abs(steps[steps != 0.0])))
-    coarse = float(np.median(np.abs(np.diff(steps)))) <= NOISY_STEPS * step
-    rises = step * np.array(SLOW_RISES if coarse else RISES)
+    # Counted, which takes a third of the time of a median.
+    small = np.count_nonzero(np.abs(np.diff(steps)) <= NOISY_STEPS * step)
+    rises = step * np.array(SLOW_RISES if 2 * small >= steps.size else RISES)
     found = []
     for level, at in reached.items():
         off = np.abs(values - level)

@@ -93,11 +93,8 @@ def draft_test_toml(
         tables.append(_table("adc", Converter))
     taken: set[str] = set()
     shared: dict[str, str] = {}
-    described = []
-    for channel in channels:
-        model = models[channel.name]
-        if model is not None:
-            described.append(_channel(channel, model, taken, shared))
+    kept = [(channel, model) for channel in channels if (model := models[channel.name])]
+    described = [_channel(channel, model, taken, shared) for channel, model in kept]
     tables += [*shared.values(), *described]
     if others:
         tables.append(

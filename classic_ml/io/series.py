@@ -17,16 +17,7 @@ from classic_ml.io.csv import open_csv
 from classic_ml.io.netcdf import check_items
 from classic_ml.io.table import fault_of
 from classic_ml.records import LedgerEntry
-from classic_ml.series import (
-    COLUMNS,
-    COUNT_COLUMNS,
-    LONG_NAMES,
-    RAKE_COLUMN,
-    REQUIRED_COLUMNS,
-    TRUTH_COLUMNS,
-    UNITS,
-    CoefficientSeries,
-)
+from classic_ml.series import COLUMNS, KNOWN, RAKE_COLUMN, REQUIRED_COLUMNS, CoefficientSeries
 from surge_core.errors import InputError
 from surge_core.files import replace_whole
 from surge_core.types import FloatArray
@@ -197,7 +188,7 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
 
     columns = series.columns()
     table = pa.table(
-        {n: v.astype(np.int64) if n in TRUTH_COLUMNS else v for n, v in columns.items()}
+        {n: v.astype(np.int64) if v.dtype == np.bool_ else v for n, v in columns.items()}
     )
     # The shortest digits that read back as the same number. The header is written by hand, since
     # pyarrow puts it into quotes.
@@ -210,17 +201,18 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     import h5netcdf
 
     # Truths and counts are small: a series of hours is large.
-    kinds = dict.fromkeys(TRUTH_COLUMNS, np.int8) | dict.fromkeys(COUNT_COLUMNS, np.int32)
-    about = {**_ABOUT, "history": _ledger_json(series.history), "source": series.source}
+    small = {np.bool_: np.int8, np.int64: np.int32}
+    origin = {"history": _ledger_json(series.history), "source": series.source}
     try:
         with h5netcdf.File(file, "w") as opened:
-            opened.attrs.update(about)
+            opened.attrs.update(_ABOUT | origin)
             opened.dimensions["time_s"] = series.n_samples
             for name, values in series.columns().items():
-                data = values.astype(kinds.get(name, values.dtype), copy=False)
+                data = values.astype(small.get(values.dtype.type, values.dtype), copy=False)
                 column = opened.create_variable(name, ("time_s",), data.dtype, data)
-                if name in UNITS:
-                    column.attrs.update({"units": UNITS[name], "long_name": LONG_NAMES[name]})
+                if name in KNOWN:
+                    about = {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name}
+                    column.attrs.update(about)
     except RuntimeError as error:
         # HDF5 says in its own words that a disk is full, perhaps not before it closes the file.
         raise OSError(str(error)) from error
