@@ -15,11 +15,7 @@ from numpy.typing import ArrayLike
 from classic_ml.characteristics import feature_names
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.linearised import CycleShifts, LinearisedFit, cycle_shifts
-from classic_ml.whitening import (
-    autoregressive_innovations,
-    bartlett_widening,
-    lagged_correlation,
-)
+from classic_ml.whitening import autoregressive_innovations, bartlett_widening, lagged_correlation
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
@@ -143,11 +139,7 @@ def whiteness(errors: FloatArray, runs: list[slice]) -> CheckRow:
 
 
 def input_correlation(
-    errors: FloatArray,
-    phi: FloatArray,
-    runs: list[slice],
-    *,
-    name: str = "phi",
+    errors: FloatArray, phi: FloatArray, runs: list[slice], *, name: str = "phi"
 ) -> CheckRow:
     """Check that the errors hold nothing more that an input could explain.
 

@@ -75,7 +75,11 @@ def find_cycles(record: Record) -> SurgeCycles:
     """
     slow = _slow(record, "Wc25_kg_s", "P31_Pa")
     start, pressure = _first_negative(slow), slow["P31_Pa"]
-    peaks, rises = _peaks(pressure, start, record.sample_rate_hz)
+    after = pressure[start:]
+    around = max(3, round(SURROUNDINGS_S * record.sample_rate_hz))
+    least = LEAST_SWING * float(np.median(after))
+    peaks, found = find_peaks(after, prominence=least, wlen=around)
+    peaks, rises = peaks + start, found["prominences"]
     if peaks.size == 0:
         raise InputError(
             f"{record.source}: P31",
@@ -154,14 +158,6 @@ def _first_negative(record: Record) -> int:
         remedy="check units and zero readings of the probes at plane 25; `sindy-surge inspect` "
         "says whether and when P31 swings",
     )
-
-
-def _peaks(pressure: FloatArray, start: int, sample_rate_hz: float) -> tuple[IntArray, FloatArray]:
-    after = pressure[start:]
-    least = LEAST_SWING * float(np.median(after))
-    around = max(3, round(SURROUNDINGS_S * sample_rate_hz))
-    peaks, found = find_peaks(after, prominence=least, wlen=around)
-    return peaks + start, found["prominences"]
 
 
 def _swings(slow: Record, edges: IntArray, start: int) -> FloatArray:

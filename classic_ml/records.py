@@ -134,11 +134,7 @@ class Record(Displayed):
 
     @classmethod
     def from_arrays(
-        cls,
-        arrays: Mapping[str, tuple[ArrayLike, str]],
-        *,
-        sample_rate_hz: float,
-        source: str = "",
+        cls, arrays: Mapping[str, tuple[ArrayLike, str]], *, sample_rate_hz: float, source: str = ""
     ) -> Record:
         """Build a record from ``{name: (values, unit)}``."""
         channels = {n: Channel(n, np.asarray(v), unit) for n, (v, unit) in arrays.items()}

@@ -144,7 +144,9 @@ def estimated_threshold_lbm_s(
         # Rows that a threshold behind each flow in turn gives the wrong state.
         upto = np.cumsum(stalled)
         cost = n_below - 2 * upto[:-1] + upto[-1]
-        slack = _error_of_count((flow <= in_order[int(np.argmin(cost))]) != state[window])
+        wrong = (flow <= in_order[int(np.argmin(cost))]) != state[window]
+        # The standard error of their number: those of one stretch are wrong together.
+        slack = float(np.linalg.norm(np.diff(intervals_where(wrong), axis=1)))
         how = "the shift between hub and tip"
     else:
         unstalled = 1.0 if _recovers(record, window) else 0.0
@@ -163,18 +165,8 @@ def estimated_threshold_lbm_s(
     return threshold, LedgerEntry("threshold", did, parameters)
 
 
-def _error_of_count(wrong: BoolArray) -> float:
-    """Return the standard error of a count of rows: those of one stretch are wrong together."""
-    lengths = np.diff(intervals_where(wrong), axis=1)
-    return float(np.sqrt(np.sum(lengths.astype(np.float64) ** 2)))
-
-
 def segment(
-    record: Record,
-    window: slice,
-    *,
-    threshold_lbm_s: float | None,
-    hysteresis_lbm_s: float = 0.0,
+    record: Record, window: slice, *, threshold_lbm_s: float | None, hysteresis_lbm_s: float = 0.0
 ) -> Record:
     """Mark the in-stall rows and number the in-stall intervals inside the window.
 

@@ -9,14 +9,7 @@ from numpy.typing import NDArray
 
 from classic_ml.calibration import total_reading
 from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
-from classic_ml.faults.findings import (
-    BEYOND_LIMITS,
-    CLIPPED,
-    MARK_WORDS,
-    SPIKED,
-    STUCK,
-    alike,
-)
+from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, MARK_WORDS, SPIKED, STUCK, alike
 from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.spikes import spike_rows

@@ -109,10 +109,7 @@ def along(array: Any) -> Any:
 
 
 def grouped(
-    source: str,
-    vectors: Sequence[Vector],
-    layout: FileLayout,
-    left_aside: Mapping[str, str],
+    source: str, vectors: Sequence[Vector], layout: FileLayout, left_aside: Mapping[str, str]
 ) -> StoredTable:
     """Return the vectors of one length in one group of a file as the columns of a record.
 

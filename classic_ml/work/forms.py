@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.coefficients import (
-    PSI_MINIMUM_PHI,
-    psi_is_known,
-    rate_of_change,
-    work_coefficient,
-)
+from classic_ml.coefficients import PSI_MINIMUM_PHI, psi_is_known, rate_of_change, work_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
@@ -29,10 +24,7 @@ _FORM_WORDS = {
 
 
 def with_work(
-    record: Record,
-    test: TestDescription,
-    form: str,
-    cell_period_s: float | None,
+    record: Record, test: TestDescription, form: str, cell_period_s: float | None
 ) -> Record:
     """Add ``psi`` by one of ``WORK_FORMS`` to plane averages with W31, φ and dW25/dt.
 
