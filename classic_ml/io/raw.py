@@ -106,19 +106,19 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     titles = {channel.file_column: _title(channel) for channel in test.channels}
     if layout.clock == "column":
         titles = {layout.time: f"column {layout.time}", **titles}
-    missing, *others = [*(column for column in titles if column not in stored.names), ""]
+    missing = [column for column in titles if column not in stored.names]
     spare = [name for name in stored.names if name not in {*titles, layout.time}]
     if missing:
-        nor = f" (nor {', '.join(others[:-1])[:200]})" if others[:-1] else ""
+        nor = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
         found = f"no such column{nor}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
         aside = {n.split("/")[-1]: f"'{n}': {why}" for n, why in stored.left_aside.items()}
         remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
-        if titles[missing].startswith("column"):
+        if titles[missing[0]].startswith("column"):
             remedy = 'name it in [file], time = "...", or write clock = "from rate"'
         raise InputError(
-            f"{stored.source}: {titles[missing]}",
+            f"{stored.source}: {titles[missing[0]]}",
             expected=f"it in the header of the table, as {test.source} describes it",
-            found=aside.get(missing, found),
+            found=aside.get(missing[0], found),
             remedy=remedy,
         )
     if spare and layout.other_columns == "refuse":
