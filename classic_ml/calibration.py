@@ -9,8 +9,9 @@ import numpy as np
 from classic_ml.description import (
     PLAUSIBLE_BIAS,
     PLAUSIBLE_BIAS_K,
-    Converter,
-    PressureChannel,
+    AnyChannel,
+    CountChannel,
+    TemperatureChannel,
     TestDescription,
 )
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
@@ -23,27 +24,32 @@ MINIMUM_NEAR_STALL_ROWS = 20
 LEAST_IN_WAKE = 0.5
 
 
-def volts(counts: FloatArray | float, adc: Converter) -> FloatArray:
-    """Return the volts behind the codes of a converter."""
-    return np.asarray(adc.low_V + np.asarray(counts, dtype=np.float64) * adc.volts_per_count)
-
-
-def probe_pressure_Pa(
-    channel: PressureChannel, test: TestDescription, readings: FloatArray
+def total_reading(
+    channel: AnyChannel, test: TestDescription, readings: FloatArray, shift: float = 0.0
 ) -> FloatArray:
-    """Return the pressure that a probe saw, from codes of the converter; readings in Pa are it.
+    """Return the pressure that a probe saw, or the total temperature, and a shift added to it.
 
-    P = (V − V_zero)/S + P_zoc with S = (V_calibrate − V_zero)/ΔP_calibrate, in pascal.
+    From codes P = (V − V_zero)/S + P_zoc with S = (V_calibrate − V_zero)/ΔP_calibrate. A
+    thermocouple reads the total temperature times its recovery factor.
     """
-    if channel.record_unit == "Pa":
-        return readings
-    zero_V = float(volts(channel.zero_count, test.adc))
-    calibrate_V = float(volts(channel.calibrate_count, test.adc))
-    pressure_Pa = volts(readings, test.adc) - zero_V
-    # In place: of long records it is new memory that takes the time.
-    pressure_Pa /= (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
-    pressure_Pa += channel.zoc_reference_Pa
-    return pressure_Pa
+    if isinstance(channel, TemperatureChannel):
+        values = readings / channel.recovery_factor
+    elif isinstance(channel, CountChannel):
+        adc = test.adc
+        zero_V, calibrate_V = (
+            adc.low_V + count * adc.volts_per_count
+            for count in (channel.zero_count, channel.calibrate_count)
+        )
+        values = readings * adc.volts_per_count
+        # In place: of long records it is new memory that takes the time.
+        values += adc.low_V
+        values -= zero_V
+        values /= (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
+        values += channel.zoc_reference_Pa
+    else:
+        values = readings.copy()
+    values += shift
+    return values
 
 
 def calibrate(
@@ -51,25 +57,14 @@ def calibrate(
 ) -> Record:
     """Turn counts into pascal and indicated into total temperatures, T_i over the recovery factor.
 
-    Parameters
-    ----------
-    record : Record
-        Counts or Pa, and kelvin, as read.
-    test : TestDescription
-        Calibration of each channel.
-    shifts : mapping of str to float, optional
-        What is added to each channel besides, in Pa and K, from :func:`near_stall_match`.
+    ``shifts`` are added to the channels besides, in Pa and K, from :func:`near_stall_match`.
     """
     moved = shifts or {}
     added = []
     for channel in test.channels:
-        name, unit = channel.name, "Pa"
-        if isinstance(channel, PressureChannel):
-            values = probe_pressure_Pa(channel, test, record[name])
-        else:
-            values, unit = record[name] / channel.recovery_factor, "K"
-        added.append(Channel.adopt(name, values + moved.get(name, 0.0), unit))
-    n_counts = sum(probe.record_unit == "count" for probe in test.pressures)
+        values = total_reading(channel, test, record[channel.name], moved.get(channel.name, 0.0))
+        added.append(Channel.adopt(channel.name, values, channel.si_unit))
+    n_counts = sum(isinstance(probe, CountChannel) for probe in test.pressures)
     ways = []
     if n_counts:
         ways.append(f"{n_counts} pressures from counts by their zero and calibrate readings")
@@ -135,19 +130,9 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
     of the aft ones. The difference of a pair decides the flow, and its error does not average
     out near zero flow, where M grows with the root of it; so the aft probe is moved with its
     forward mate and the difference stays as the zero and calibrate readings give it. Only biases
-    change, no sensitivity. A channel whose reading does not count is left alone.
-
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures and temperatures; not looked at where the test states the shifts.
-    test : TestDescription
-        The facility's reading.
-
-    Raises
-    ------
-    InputError
-        When a channel is off by more than a fifth of the reading.
+    change, no sensitivity. A channel whose reading does not count is left alone; one that is off by
+    more than a fifth of the reading is refused. Where the test states the shifts, the record, which
+    is calibrated, is not looked at.
     """
     stated = test.near_stall_shifts
     steady = None if stated else record.part(near_stall_rows(record, test))

@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import feature_names
-from classic_ml.cycle_shifts import CycleShifts, cycle_shifts
 from classic_ml.lag_regressor import LagRegressor
-from classic_ml.linearised import LinearisedFit
-from classic_ml.whitening import (
-    autoregressive_innovations,
-    bartlett_widening,
-    lagged_correlation,
-)
+from classic_ml.linearised import CycleShifts, LinearisedFit, cycle_shifts
+from classic_ml.whitening import autoregressive_innovations, bartlett_widening, lagged_correlation
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
@@ -62,12 +57,17 @@ class CheckRow:
     meaning: str
 
 
+def _row(check: str, statistic: float, limit: float, good: str, bad: str) -> CheckRow:
+    """Return the row of a statistic that should lie below its limit."""
+    passed = statistic < limit
+    return CheckRow(check, statistic, "<", limit, passed, good if passed else bad)
+
+
 def residual_checks(
     model: LagRegressor,
     X: ArrayLike,
     y: ArrayLike,
     segments: ArrayLike | None = None,
-    sample_weight: ArrayLike | None = None,
     *,
     stated_phi: tuple[float, float] | None = None,
 ) -> tuple[CheckRow, ...]:
@@ -83,8 +83,6 @@ def residual_checks(
         ψ' as measured.
     segments : array-like of int, shape (n,), optional
         Labels as in the fit; each segment counts as a cycle.
-    sample_weight : array-like of shape (n,), optional
-        Weights as in the fit; unscored rows are not checked.
     stated_phi : tuple of float, optional
         Range of φ in which the curve is to be stated; without it, all that the rows visit.
 
@@ -97,7 +95,7 @@ def residual_checks(
     if math.isnan(model.time_constant_s_):
         return ()
     inputs = np.asarray(X, dtype=np.float64)
-    fit = model.linearised(inputs, y, segments, sample_weight)
+    fit = model.linearised(inputs, y, segments)
     pieces = list(fit.pieces)
     errors, scored = fit.errors, inputs[fit.rows]
     names = feature_names(scored.shape[1], getattr(model, "feature_names_in_", None))
@@ -107,13 +105,10 @@ def residual_checks(
         if len(names) > 1:
             row = replace(row, check=f"input_correlation({name})")
         rows.append(row)
-    rows.append(normality(errors, pieces))
-    rows.append(leverage(model, fit, scored))
     phi = scored[:, 0]
     stated = stated_phi or (float(phi.min()), float(phi.max()))
-    cycles = runs_of(fit.segment, fit.segment.size)
-    rows.append(coverage(phi, cycles, stated))
-    return tuple(rows)
+    swept = coverage(phi, runs_of(fit.segment, phi.size), stated)
+    return (*rows, normality(errors, pieces), leverage(model, fit, scored), swept)
 
 
 def whiteness(errors: FloatArray, runs: list[slice]) -> CheckRow:
@@ -132,25 +127,19 @@ def whiteness(errors: FloatArray, runs: list[slice]) -> CheckRow:
     of variance 1/n.
     """
     correlations = lagged_correlation(errors, errors, runs, N_LAGS)[N_LAGS + 1 :]
-    largest = float(np.max(np.abs(correlations)))
-    limit = _limit(errors.size, N_LAGS)
-    passed = largest < limit
-    meaning = (
-        "one-step errors are white within the noise"
-        if passed
-        else "one-step errors predict each other: the noise model is incomplete or the data were "
+    return _row(
+        "whiteness",
+        float(np.max(np.abs(correlations))),
+        _limit(errors.size, N_LAGS),
+        "one-step errors are white within the noise",
+        "one-step errors predict each other: the noise model is incomplete or the data were "
         "low-passed; the time constant is biased and textbook errors would be too small (those "
-        "stated allow for it)"
+        "stated allow for it)",
     )
-    return CheckRow("whiteness", largest, "<", limit, passed, meaning)
 
 
 def input_correlation(
-    errors: FloatArray,
-    phi: FloatArray,
-    runs: list[slice],
-    *,
-    name: str = "phi",
+    errors: FloatArray, phi: FloatArray, runs: list[slice], *, name: str = "phi"
 ) -> CheckRow:
     """Check that the errors hold nothing more that an input could explain.
 
@@ -167,17 +156,15 @@ def input_correlation(
     """
     smooth = phi - phi.mean()
     correlations = lagged_correlation(errors, smooth, runs, N_LAGS)
-    largest = float(np.max(np.abs(correlations)))
-    limit = _limit(errors.size, 2 * N_LAGS + 1) * bartlett_widening(errors, smooth, runs, N_LAGS)
-    passed = largest < limit
     symbol = "φ" if name == "phi" else name
-    meaning = (
-        f"nothing is left in the errors that {symbol} would explain"
-        if passed
-        else f"the errors still follow {symbol}: the characteristic, the lag or the alignment of "
-        f"{symbol} and ψ' lacks something"
+    return _row(
+        "input_correlation",
+        float(np.max(np.abs(correlations))),
+        _limit(errors.size, 2 * N_LAGS + 1) * bartlett_widening(errors, smooth, runs, N_LAGS),
+        f"nothing is left in the errors that {symbol} would explain",
+        f"the errors still follow {symbol}: the characteristic, the lag or the alignment of "
+        f"{symbol} and ψ' lacks something",
     )
-    return CheckRow("input_correlation", largest, "<", limit, passed, meaning)
 
 
 def normality(errors: FloatArray, runs: list[slice]) -> CheckRow:
@@ -204,17 +191,16 @@ def normality(errors: FloatArray, runs: list[slice]) -> CheckRow:
     if white.size < FEWEST_FOR_NORMALITY or np.ptp(white) == 0.0:
         meaning = f"fewer than {FEWEST_FOR_NORMALITY} errors: too few to know their law"
         return CheckRow("normality", math.nan, "<", limit, False, meaning)
-    statistic = float(normaltest(white).statistic)
-    passed = statistic < limit
-    tails, lean = float(kurtosis(white)), float(skew(white))
-    meaning = (
-        "the errors are normal within the noise"
-        if passed
-        else f"the errors are not normal (excess kurtosis {tails:.2g}, skewness {lean:.2g}; both "
-        "0 for normal ones): least squares is then not maximum likelihood, and single rows weigh "
-        "more than they should; look for spikes, switches and clipped stretches"
+    return _row(
+        "normality",
+        float(normaltest(white).statistic),
+        limit,
+        "the errors are normal within the noise",
+        f"the errors are not normal (excess kurtosis {kurtosis(white):.2g}, skewness "
+        f"{skew(white):.2g}; both 0 for normal ones): least squares is then not maximum "
+        "likelihood, and single rows weigh more than they should; look for spikes, switches and "
+        "clipped stretches",
     )
-    return CheckRow("normality", statistic, "<", limit, passed, meaning)
 
 
 def leverage(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> CheckRow:
@@ -240,19 +226,16 @@ def leverage(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> Che
     shifts = cycle_shifts(fit)
     contrasts = _contrasts(model, fit, inputs)
     size = np.abs(shifts.studentised(contrasts))
-    tests = size.size
-    limit = float(t.isf(0.5 * FALSE_ALARM / tests, shifts.n_cycles - 2))
     cycle, contrast = np.unravel_index(int(np.argmax(size)), size.shape)
-    statistic = float(size[cycle, contrast])
-    passed = statistic < limit
     effect = _about_cycle(model, shifts, contrasts, int(cycle), int(contrast))
-    meaning = (
-        f"no cycle outweighs the others ({effect})"
-        if passed
-        else f"one cycle moves the answer more than the others let expect: {effect}; look at that "
-        "cycle before you trust either"
+    return _row(
+        "leverage",
+        float(size[cycle, contrast]),
+        float(t.isf(0.5 * FALSE_ALARM / size.size, len(size) - 2)),
+        f"no cycle outweighs the others ({effect})",
+        f"one cycle moves the answer more than the others let expect: {effect}; look at that "
+        "cycle before you trust either",
     )
-    return CheckRow("leverage", statistic, "<", limit, passed, meaning)
 
 
 def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> CheckRow:
@@ -295,7 +278,7 @@ def _about_cycle(
     model: LagRegressor, shifts: CycleShifts, contrasts: FloatArray, cycle: int, contrast: int
 ) -> str:
     """Say what the fit would be without a cycle."""
-    rows = f"without rows {shifts.first_row[cycle]} to {shifts.last_row[cycle]}"
+    rows = "without rows {} to {}".format(*shifts.edges[cycle])
     moved = float(contrasts[contrast] @ shifts.shift[cycle])
     if contrast == 0:
         tau_s = float(model.time_constant_s_)

@@ -13,20 +13,10 @@ CLOCK_TOLERANCE = 0.15
 
 
 def uniform_period_s(time_s: FloatArray, where: str) -> float:
-    """Return the mean step of a uniform clock in seconds, or refuse the clock.
+    """Return the mean step of a uniform clock, or refuse one that is called ``where``.
 
-    Parameters
-    ----------
-    time_s : ndarray of shape (n,)
-        Clock of each row, in seconds; at least two rows, all finite.
-    where : str
-        What to call the clock in an error, e.g. ``"run.csv: column time_s"``.
-
-    Raises
-    ------
-    InputError
-        When the clock repeats, runs back, has a gap or drifts off its straight line by more
-        than 0.15 of a step, or a step differs from the others by as much.
+    It may not repeat, run back, have a gap or drift off its straight line by more than 0.15 of a
+    step, nor may a step differ from the others by as much.
     """
     steps = np.diff(time_s)
     mean_s = float((time_s[-1] - time_s[0]) / steps.size)

@@ -31,25 +31,10 @@ def flow_coefficient(
     rotor_velocity_m_s: float,
     compressor: Compressor,
 ) -> FloatArray:
-    """Return φ = C_z/U from corrected flow and total temperature (Eq 7).
+    """Return φ = C_z/U from signed corrected flow and total temperature at plane 25 (Eq 7).
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Signed corrected flow at plane 25.
-    temperature_K : ndarray of shape (n,)
-        Total temperature there.
-    area_m2 : float
-        Flow area there.
-    rotor_velocity_m_s : float
-        Mean rotor velocity U, from the physical speed.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        M √(γ R T_s)/U with M from the inverse of Eq 3 and T_s = T/(1 + (γ−1)/2 M²).
+    M √(γ R T_s)/U with M from the inverse of Eq 3, T_s = T/(1 + (γ−1)/2 M²), and U the mean rotor
+    velocity from the physical speed.
     """
     gamma = compressor.gamma
     mach = mach_from_corrected_flow(corrected_kg_s, area_m2, compressor)
@@ -67,32 +52,10 @@ def pressure_coefficient(
     rotor_velocity_m_s: float,
     compressor: Compressor,
 ) -> FloatArray:
-    """Return the instantaneous pressure coefficient ψ' (Eq 5).
+    """Return the instantaneous pressure coefficient ψ' from total P25, P31 and T25 (Eq 5).
 
-    Parameters
-    ----------
-    inlet_Pa, exit_Pa : ndarray of shape (n,)
-        Total pressures P25 and P31.
-    inlet_K : ndarray of shape (n,)
-        Total temperature T25.
-    flow_rate_kg_s2 : ndarray of shape (n,)
-        dW25/dt of the physical flow.
-    inertia_per_m : float
-        I = ∫dx/A between the planes.
-    rotor_velocity_m_s : float
-        U.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ' = (2 c_p T25/U²) [((P31 + I dW25/dt)/P25)^((γ−1)/γ) − 1].
-
-    Raises
-    ------
-    InputError
-        When P31 + I dW25/dt is not positive.
+    ψ' = (2 c_p T25/U²) [((P31 + I dW25/dt)/P25)^((γ−1)/γ) − 1], dW25/dt of the physical flow and
+    I = ∫dx/A between the planes; refused where P31 + I dW25/dt is not positive.
     """
     gamma = compressor.gamma
     blading_Pa = exit_Pa + inertia_per_m * flow_rate_kg_s2
@@ -120,23 +83,8 @@ def work_coefficient(
 ) -> FloatArray:
     """Return the instantaneous work coefficient ψ (energy form of Eq 13); infinite at W25 = 0.
 
-    Parameters
-    ----------
-    inlet_kg_s, exit_kg_s : ndarray of shape (n,)
-        Physical flows W25 and W31.
-    inlet_K, exit_K : ndarray of shape (n,)
-        Total temperatures T25 and T31.
-    storage_W : ndarray of shape (n,)
-        V_c/(γ−1) dP̄/dt: the power that goes into the internal volume.
-    rotor_velocity_m_s : float
-        U.
-    compressor : Compressor
-        For c_p.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ = (2 c_p T25/U²)(T2/T25 − 1), c_p W25 T2 = c_p W31 T31 + V_c/(γ−1) dP̄/dt.
+    ψ = (2 c_p T25/U²)(T2/T25 − 1), c_p W25 T2 = c_p W31 T31 + V_c/(γ−1) dP̄/dt: the last is
+    ``storage_W``, the power that goes into the internal volume.
     """
     heat = compressor.specific_heat_J_kg_K
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -156,17 +104,9 @@ def corrected_speed_fraction(temperature_K: FloatArray, test: TestDescription) -
 
 
 def coefficients(record: Record, test: TestDescription) -> Record:
-    """Compute φ, ψ' and the corrected speed from plane averages.
+    """Add ``phi``, ``psi_p``, ``Nc_frac``, ``pressure_ratio`` and ``dW25_dt_kg_s2`` to averages.
 
-    Returns
-    -------
-    Record
-        With ``phi``, ``psi_p``, ``Nc_frac``, ``pressure_ratio`` and ``dW25_dt_kg_s2``.
-
-    Raises
-    ------
-    InputError
-        When the flow is more than the area passes, or P31 + I dW25/dt is not positive.
+    Refused where the flow is more than the area passes, or P31 + I dW25/dt is not positive.
     """
     machine, speed = test.compressor, test.rotor_velocity_m_s
     inertia = machine.inertia_per_m

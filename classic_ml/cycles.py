@@ -43,23 +43,11 @@ FEW_CYCLES = 6
 
 @dataclass(frozen=True)
 class SurgeCycles:
-    """The repetitive cycles of a record.
+    """The repetitive cycles of a record, from trough to trough of P31.
 
-    Parameters
-    ----------
-    from_s, to_s : float
-        The window that they fill, on the facility clock, from trough to trough of P31.
-    n_cycles : int
-        Complete cycles inside.
-    period_s : float
-        Their median period.
-    first_reversal_s : float
-        When the flow at plane 25 first ran backwards.
-    left_out : int
-        Cycles before or after that do not repeat the others.
-    flow_swing : float
-        How far the flow swings in the median cycle, as a share of its level before the surge;
-        infinite where nothing was before.
+    Their period is the median one; ``left_out`` cycles before or after do not repeat the others.
+    ``flow_swing`` is how far the flow swings in the median cycle, as a share of its level before
+    the surge; infinite where nothing was before.
     """
 
     from_s: float
@@ -82,21 +70,16 @@ def find_cycles(record: Record) -> SurgeCycles:
     A cycle is a rise of P31 by at least half of the deepest one's in which the flow swings by about
     half of what it was before the surge, unless the machine does nothing else but oscillate less
     for many cycles, or surges deeply too seldom between many smaller loops; those that count agree
-    with the others in rise, period and corrected speed, and follow one another without a break.
-
-    Parameters
-    ----------
-    record : Record
-        With ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
-
-    Raises
-    ------
-    InputError
-        When there is no surge in the record, or fewer than three such cycles.
+    with the others in rise, period and corrected speed, and follow one another without a break. A
+    record without surge, or with fewer than three such cycles, is refused.
     """
     slow = _slow(record, "Wc25_kg_s", "P31_Pa")
     start, pressure = _first_negative(slow), slow["P31_Pa"]
-    peaks, rises = _peaks(pressure, start, record.sample_rate_hz)
+    after = pressure[start:]
+    around = max(3, round(SURROUNDINGS_S * record.sample_rate_hz))
+    least = LEAST_SWING * float(np.median(after))
+    peaks, found = find_peaks(after, prominence=least, wlen=around)
+    peaks, rises = peaks + start, found["prominences"]
     if peaks.size == 0:
         raise InputError(
             f"{record.source}: P31",
@@ -144,18 +127,7 @@ def _repeating(
 
 
 def first_reversal(record: Record) -> int:
-    """Return the row at which the flow at plane 25 first runs backwards.
-
-    Parameters
-    ----------
-    record : Record
-        With ``Wc25_kg_s``.
-
-    Raises
-    ------
-    InputError
-        When it never does.
-    """
+    """Return the row at which the flow at plane 25 first runs backwards; it is refused if never."""
     return _first_negative(_slow(record, "Wc25_kg_s"))
 
 
@@ -186,14 +158,6 @@ def _first_negative(record: Record) -> int:
         remedy="check units and zero readings of the probes at plane 25; `sindy-surge inspect` "
         "says whether and when P31 swings",
     )
-
-
-def _peaks(pressure: FloatArray, start: int, sample_rate_hz: float) -> tuple[IntArray, FloatArray]:
-    after = pressure[start:]
-    least = LEAST_SWING * float(np.median(after))
-    around = max(3, round(SURROUNDINGS_S * sample_rate_hz))
-    peaks, found = find_peaks(after, prominence=least, wlen=around)
-    return peaks + start, found["prominences"]
 
 
 def _swings(slow: Record, edges: IntArray, start: int) -> FloatArray:

@@ -157,11 +157,28 @@ class _Channel(Table):
     unit: Text = key('"count", or a unit such as psia or degF')
     plane: Literal[25, 31] = key("25 or 31")
     rake: Text = key('the name of a rake, such as "A"')
+    kind: Literal["pressure", "temperature"]
 
     @property
     def file_column(self) -> str:
         """Column of the file."""
         return self.column or self.name
+
+    @property
+    def si_unit(self) -> str:
+        """``"Pa"`` or ``"K"``."""
+        return {"pressure": "Pa", "temperature": "K"}[self.kind]
+
+    @property
+    def record_unit(self) -> str:
+        """Unit in a record as read: ``"count"``, or the one of SI."""
+        return COUNT if isinstance(self, CountChannel) else self.si_unit
+
+    @property
+    def conversion(self) -> Conversion:
+        """From the unit of the file to that of the record."""
+        kind = COUNT if isinstance(self, CountChannel) else self.kind
+        return conversion_to_si(self.unit, kind, "", getattr(self, "reference_Pa", None))
 
 
 class PressureChannel(_Channel):
@@ -198,17 +215,6 @@ class PressureChannel(_Channel):
             beside = f" beside {', '.join(stated)}" if stated else " or a unit of pressure"
             raise InputError("unit", expected=f'"{COUNT}"{beside}', found=f'"{self.unit}"')
         return self
-
-    @property
-    def record_unit(self) -> str:
-        """Unit in a record as read: ``"count"``, or ``"Pa"`` for every unit of pressure."""
-        return COUNT if self.unit == COUNT else "Pa"
-
-    @property
-    def conversion(self) -> Conversion:
-        """From the unit of the file to that of the record."""
-        kind = COUNT if self.unit == COUNT else self.kind
-        return conversion_to_si(self.unit, kind, "", self.reference_Pa)
 
 
 class CountChannel(PressureChannel):
@@ -251,16 +257,6 @@ class TemperatureChannel(_Channel):
         _ = self.conversion
         return self
 
-    @property
-    def record_unit(self) -> str:
-        """Unit in a record as read: ``"K"``."""
-        return "K"
-
-    @property
-    def conversion(self) -> Conversion:
-        """From the unit of the file to that of the record."""
-        return conversion_to_si(self.unit, self.kind, "")
-
 
 AnyChannel = PressureChannel | TemperatureChannel
 
@@ -272,13 +268,7 @@ def _check_above(name: str, high: float, other: str, low: float) -> None:
 
 @dataclass(frozen=True)
 class ProbePair:
-    """The forward and the aft probe of one rake at one immersion.
-
-    Parameters
-    ----------
-    forward, aft : PressureChannel
-        The two probes.
-    """
+    """The forward and the aft probe of one rake at one immersion."""
 
     forward: PressureChannel
     aft: PressureChannel

@@ -31,24 +31,11 @@ BEFORE_CORNER = 0.3
 def emptied_above_hz(
     values: ArrayLike, segments: ArrayLike | None = None, *, sample_period_s: float
 ) -> float | None:
-    """Return the corner above which a low-pass has emptied a signal, if one has.
+    """Return the corner in Hz above which a low-pass has emptied a signal, None where none has.
 
-    Parameters
-    ----------
-    values : array-like of shape (n,)
-        The signal.
-    segments : array-like of int, shape (n,), optional
-        Labels.
-    sample_period_s : float
-        Sample period, in seconds.
-
-    Returns
-    -------
-    float or None
-        In hertz: a frequency from which on the spectrum falls at least as fast as its fifth
-        power all the way to half the sample rate, the highest that has a flatter stretch before
-        it; None where there is none below an eighth of the sample rate. A signal
-        without any noise is empty by itself and looks like a filtered one.
+    From that frequency on the spectrum falls at least as fast as its fifth power all the way to
+    half the sample rate; it is the highest that has a flatter stretch before it, below an eighth of
+    the sample rate. A signal without any noise is empty by itself and looks like a filtered one.
     """
     signal = np.asarray(values, dtype=np.float64)
     frequency, density = _spectrum(signal, runs_of(segments, signal.size), float(sample_period_s))

@@ -16,22 +16,11 @@ from surge_core.types import FloatArray
 def low_pass(
     values: FloatArray, sample_rate_hz: float, *, order: int, cutoff_hz: float, phase: str
 ) -> FloatArray:
-    """Filter one signal with a Butterworth low-pass.
+    """Filter one signal with a Butterworth low-pass; the paper's is of order 3 or 5 at 48 Hz.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Uniformly sampled signal.
-    sample_rate_hz : float
-        Samples a second.
-    order : int
-        Order of the filter; the paper used 3 and 5.
-    cutoff_hz : float
-        Frequency of the −3 dB point of one pass; the paper used 48 Hz.
-    phase : {"zero", "causal", "none"}
-        ``"zero"`` runs forth and back: no delay, and twice the attenuation in dB (−6 dB at the
-        cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady
-        state of the first sample. ``"none"`` does nothing.
+    Phase ``"zero"`` runs forth and back: no delay, and twice the attenuation in dB (−6 dB at the
+    cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady state of
+    the first sample. ``"none"`` does nothing.
     """
     if phase == "none":
         return values
@@ -44,21 +33,8 @@ def low_pass(
 def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> FloatArray:
     """Return the centred moving average over exactly one period.
 
-    It has a null at 1/period and at all its harmonics, and no delay.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Uniformly sampled signal.
-    period_s : float
-        Width of the average; the ends of the window get fractional weights.
-    sample_rate_hz : float
-        Samples a second.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The averaged signal; near the ends of the record over what there is.
+    It has a null at 1/period and at all its harmonics, and no delay. The ends of its window get
+    fractional weights; near the ends of the record it is over what there is.
     """
     width = period_s * sample_rate_hz
     side = max(0, int(np.ceil(0.5 * (width - 1.0))))
@@ -92,35 +68,25 @@ def filter_channels(
     order: int,
     cutoff_hz: float,
     phase: str,
+    done: dict[str, tuple[FloatArray, FloatArray]] | None = None,
 ) -> Record:
     """Filter channels of a record, all with the same filter.
 
     Pressures and temperatures alike: a delay that differs between φ and ψ' reads as dynamics. The
     undershoot of the filter makes no pressure lower than the least that was read: a channel that
-    it takes to zero or below is held there, and the history says so.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    names : iterable of str
-        Channels to filter.
-    order, cutoff_hz, phase
-        See :func:`low_pass`.
-
-    Returns
-    -------
-    Record
-        The record with those channels filtered.
+    it takes to zero or below is held there, and the history says so. ``done`` holds what was
+    filtered alike before, and what came out; what is filtered now is added to it.
     """
     if phase == "none":
-        entry = LedgerEntry("filter", "no low-pass filter", {"phase": phase})
-        return record.after(entry)
-    rate, added = record.sample_rate_hz, []
+        return record.after(LedgerEntry("filter", "no low-pass filter", {"phase": phase}))
+    rate, added, done = record.sample_rate_hz, [], {} if done is None else done
     held: dict[str, str | int | float | bool] = {}
     for name in names:
         channel = record.channel(name)
-        smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+        before, smooth = done.get(name, (None, channel.values))
+        if before is not channel.values:
+            smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+            done[name] = channel.values, smooth
         least = np.min(channel.values, initial=np.inf)
         if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
             held[f"held_{name}"] = int(np.count_nonzero(smooth < least))

@@ -2,64 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from surge_core.display import Grid
+from surge_core.display import Field, Grid, Sheet
+from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
-from surge_core.types import FloatArray
 
 
-def characteristic_grid(terms: Sequence[str], coef: FloatArray, covariance: FloatArray) -> Grid:
-    """Return the terms of a fitted lag as a table.
+def lag_sheet(fit: Any, state: str, held_s: float | None, *more: Field) -> Sheet:
+    """Return what is shown of a fitted lag.
 
     Parameters
     ----------
-    terms : sequence of str
-        Their names.
-    coef, covariance : ndarray of shape (q,), (q, q)
-        β and its covariance.
+    fit : LagRegressor or WholeRunFit
+        With the attributes of a fitted estimator.
+    state : str
+        Its state in words.
+    held_s : float or None
+        The τ that was held.
+    *more : Field
+        What follows equation, state and τ.
     """
-    rows = tuple(
-        (name, round_to_error(value, error))
-        for name, value, error in zip(terms, coef.tolist(), _errors(covariance), strict=True)
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance_), 0.0)).tolist()
+    named = list(zip(fit.terms_, fit.coef_.tolist(), errors, strict=True))
+    right = "".join(
+        f" {'−' if value < 0.0 else '+'} {bracketed(abs(value), error)}{factor(name)}"
+        for name, value, error in named
     )
-    return Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
-
-
-def equation_with_errors(
-    lag: tuple[float, float], terms: Sequence[str], coef: FloatArray, covariance: FloatArray
-) -> str:
-    """Write a fitted lag with the error of each number in its last digits.
-
-    Parameters
-    ----------
-    lag : tuple of float
-        τ and its standard error, in seconds; nan where it is not known.
-    terms, coef, covariance
-        As for :func:`characteristic_grid`.
-    """
-    right = ""
-    for name, value, error in zip(terms, coef.tolist(), _errors(covariance), strict=True):
-        sign = "−" if value < 0.0 else "+"
-        right += f" {sign} {bracketed(abs(value), error)}{factor(name)}"
-    right = right.removeprefix(" + ").strip()
-    if not np.isfinite(lag[0]):
-        return f"y = {right}"
-    return f"{bracketed(1e3 * lag[0], 1e3 * lag[1])} ms · dy/dt + y = {right}"
-
-
-def _errors(covariance: FloatArray) -> list[float]:
-    errors: list[float] = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    return errors
-
-
-def milliseconds(value_s: float, stderr_s: float) -> str:
-    """Write a time with its error in milliseconds, both given in seconds."""
-    if not np.isfinite(value_s):
-        return "not known"
-    return f"{round_to_error(1e3 * value_s, 1e3 * stderr_s)} ms"
+    equation, tau = f"y = {right.removeprefix(' + ').strip()}", "not known"
+    if np.isfinite(fit.time_constant_s_):
+        lag_ms = 1e3 * fit.time_constant_s_, 1e3 * fit.time_constant_stderr_s_
+        equation = f"{bracketed(*lag_ms)} ms · dy/dt + {equation}"
+        tau = f"{round_to_error(*lag_ms)} ms"
+    tone = "good" if fit.fit_state_ is FitState.CONVERGED else "advice"
+    fields = (
+        Field("equation", equation),
+        Field("state", state, tone),
+        Field("time constant τ", tau + ("" if held_s is None else " (held)")),
+        *more,
+    )
+    rows = tuple((name, round_to_error(value, error)) for name, value, error in named)
+    head = ("term", "coefficient ± std error")
+    return Sheet(type(fit).__name__, fields, (Grid("Quasi-steady characteristic", head, rows),))
 
 
 def factor(name: str) -> str:

@@ -85,15 +85,7 @@ def corrected_flow(mach: FloatArray, area_m2: float, compressor: Compressor) -> 
 
 
 def choked_flow(area_m2: float, compressor: Compressor) -> float:
-    """Return the largest corrected flow that an area passes, that of M = 1 in Eq 3, in kg/s.
-
-    Parameters
-    ----------
-    area_m2 : float
-        Flow area of the plane.
-    compressor : Compressor
-        For γ and R.
-    """
+    """Return the largest corrected flow that an area passes, that of M = 1 in Eq 3, in kg/s."""
     return _flow_constant_kg_s(area_m2, compressor) * _choked_share(compressor.gamma)
 
 
@@ -106,26 +98,7 @@ def pair_flow(
     compressor: Compressor,
     ramp: float = 0.0,
 ) -> FloatArray:
-    """Return the corrected flow that a probe pair shows, Eq 1 to 3 one after the other.
-
-    Parameters
-    ----------
-    forward_Pa, aft_Pa : ndarray of shape (n,)
-        Absolute pressures.
-    slope, offset : float
-        a and b of Eq 2.
-    area_m2 : float
-        Flow area of the plane.
-    compressor : Compressor
-        For γ and R.
-    ramp : float
-        As in :func:`true_mach`.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Signed W_c, in kg/s.
-    """
+    """Return the signed corrected flow that a probe pair shows, Eq 1 to 3 one after the other."""
     calculated = calculated_mach(forward_Pa, aft_Pa, compressor.gamma)
     return corrected_flow(true_mach(calculated, slope, offset, ramp), area_m2, compressor)
 

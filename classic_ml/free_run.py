@@ -57,25 +57,11 @@ def near(rows: BoolArray, before: int, behind: int) -> BoolArray:
 def free_run_rows(
     record: Record, stalled: BoolArray, inside: slice, period_s: float
 ) -> tuple[IntArray, LedgerEntry]:
-    """Choose the rows of one free run through the surge cycles.
+    """Choose the rows of one free run that passes some rows of a record with unfiltered φ.
 
-    Parameters
-    ----------
-    record : Record
-        With the ``phi`` of unfiltered pressures.
-    stalled : ndarray of bool, shape (n,)
-        In-stall state.
-    inside : slice
-        Rows that the run passes.
-    period_s : float
-        What the fit averages over: one period of the stall cells.
-
-    Returns
-    -------
-    free_run : ndarray of int, shape (n,)
-        0 outside, 1 where it is simulated through, 2 where it is scored.
-    entry : LedgerEntry
-        What was left out, each row once, by the first reason that holds.
+    ``period_s`` is what the fit averages over: one period of the stall cells. Returned are 0
+    outside, 1 where the run is simulated through, 2 where it is scored, and the entry that says
+    what was left out, each row once, by the first reason that holds.
     """
     rate, n_rows, phi = record.sample_rate_hz, record.n_samples, record["phi"]
 

@@ -8,22 +8,9 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 
 
 def intervals_where(state: BoolArray) -> IntArray:
-    """Return the intervals of True.
-
-    Parameters
-    ----------
-    state : ndarray of bool, shape (n,)
-        True inside an interval.
-
-    Returns
-    -------
-    ndarray of int, shape (m, 2)
-        First row of each interval, and the row behind its last.
-    """
-    change = np.flatnonzero(state[1:] != state[:-1]) + 1
-    head = [0] if state.size and state[0] else []
-    tail = [state.size] if state.size and state[-1] else []
-    return np.concatenate([head, change, tail]).astype(np.int64).reshape(-1, 2)
+    """Return the first row of each interval of True, and the row behind its last."""
+    padded = np.concatenate([[False], state, [False]])
+    return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)
 
 
 def equal_runs(values: FloatArray, least_rows: int) -> IntArray:
@@ -34,21 +21,9 @@ def equal_runs(values: FloatArray, least_rows: int) -> IntArray:
 
 
 def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[int]]:
-    """Give numbers to the intervals of True.
+    """Give the intervals of True numbers from 1 on, and 0 to all else and to those too short.
 
-    Parameters
-    ----------
-    state : ndarray of bool, shape (n,)
-        True inside an interval.
-    least_rows : int
-        Shorter intervals are left out.
-
-    Returns
-    -------
-    labels : ndarray of int, shape (n,)
-        1, 2, … in the intervals, 0 elsewhere.
-    left_out : list of int
-        Rows of each interval that was too short.
+    Returned are the labels and the rows of each interval that was too short.
     """
     intervals = intervals_where(state)
     lengths = intervals[:, 1] - intervals[:, 0]
@@ -62,21 +37,13 @@ def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[i
 def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     """Return a signal with straight lines across the rows that are not known.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The signal.
-    known : ndarray of bool, shape (n,)
-        True where it counts.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Constant before the first and behind the last known row; the signal as it is where no row
-        is known, or all are.
+    It is constant before the first and behind the last known row; where no row is known, or all
+    are, it is returned as it is.
     """
-    if known.all() or not known.any():
+    ends = intervals_where(~known) + np.array([-1, 0])
+    ends = np.unique(ends[(ends >= 0) & (ends < values.size)])
+    if not ends.size:
         return values
-    out = np.array(values)
-    out[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+    out, rows = np.array(values), np.flatnonzero(~known)
+    out[rows] = np.interp(rows, ends, values[ends])
     return out

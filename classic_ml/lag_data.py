@@ -26,12 +26,8 @@ MOST_VALUES = 100_000_000
 class Terms:
     """Combinations of the terms of a characteristic, of mean square one, no two alike.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, r)
-        The combinations, ``terms @ back``.
-    back : ndarray of shape (q, r)
-        What turns their coefficients into those of the terms.
+    ``columns`` of shape (n, r) are ``terms @ back``; ``back`` of shape (q, r) turns their
+    coefficients into those of the terms.
     """
 
     columns: FloatArray
@@ -44,13 +40,7 @@ class Terms:
 
 
 def nearly_orthogonal(terms: FloatArray) -> Terms:
-    """Return nearly orthogonal combinations of the terms, so that inner products keep their digits.
-
-    Parameters
-    ----------
-    terms : ndarray of shape (n, q)
-        The s_i(φ) at each sample.
-    """
+    """Return nearly orthogonal combinations of the terms, so that inner products keep digits."""
     n, q = terms.shape
     gram = terms.T @ terms
     scale = np.sqrt(np.diag(gram))
@@ -63,37 +53,19 @@ def nearly_orthogonal(terms: FloatArray) -> Terms:
         kept = singular > max(max(n, 1000) * np.finfo(np.float64).eps * singular[0], 1e-300)
         vectors, values = right[: singular.size].T, singular**2
     back = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None] * np.sqrt(n)
-    return Terms(np.asfortranarray(terms @ back), back)
+    # Transposed, so that each column lies in one piece of memory.
+    return Terms((back.T @ terms.T).T, back)
 
 
 def drift_of_runs(
     runs: Sequence[slice], weight: FloatArray, sample_period_s: float, knot_spacing_s: float
 ) -> FloatArray:
-    """Return the columns of a continuous piecewise-linear drift of zero mean.
+    """Return the columns of a continuous piecewise-linear drift of zero weighted mean.
 
-    Parameters
-    ----------
-    runs : sequence of slice
-        The segments. The time between two of them is not known, so each drifts on its own: as
-        a spline where it is longer than the knots are apart, else as one level.
-    weight : ndarray of shape (n,)
-        Weights of the rows, for the mean.
-    sample_period_s : float
-        Sample period, in seconds.
-    knot_spacing_s : float
-        Distance of the knots, in seconds; 0.25 to 2 s serve equally well where the lag is tens
-        of milliseconds.
-
-    Returns
-    -------
-    ndarray of shape (n, n_knots - 1)
-        A hat at each knot of each run but the last, less its mean: the coefficients are the
-        levels at the knots above that at the last.
-
-    Raises
-    ------
-    InputError
-        When there would be a knot every few rows, or more values than memory is to hold.
+    A hat at each knot of each run but the last, less its mean: the coefficients are the levels at
+    the knots above that at the last. The time between two runs is not known, so each drifts on its
+    own: as a spline where it is longer than the knots are apart, else as one level. Knots 0.25 to
+    2 s apart serve equally well where the lag is tens of milliseconds.
     """
     from scipy.linalg import block_diag
 
@@ -124,15 +96,7 @@ def drift_of_runs(
 
 @dataclass(frozen=True)
 class Piece:
-    """Rows that are predicted as one, without a gap.
-
-    Parameters
-    ----------
-    rows : slice
-        The rows.
-    errors : slice
-        Place of their errors, those ahead of the piece included.
-    """
+    """Rows predicted as one, and the place of their errors, those ahead of the piece included."""
 
     rows: slice
     errors: slice
@@ -140,33 +104,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class LagData:
-    """A record and the model that is to predict it.
+    """A record and the model that is to predict it, as the parameters of `LagRegressor` say.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n,)
-        ψ' as measured.
-    terms : ndarray of shape (n, r)
-        The terms of the characteristic.
-    weight : ndarray of shape (n,)
-        Non-negative; rows of weight 0 are simulated through, not scored.
-    runs : tuple of slice
-        Rows of each segment; no equation straddles two.
-    sample_period_s : float
-        Sample period, in seconds.
-    hold : {"zero", "first"}
-        How φ acts between samples.
-    noise : {"arx", "armax", "output-error"}
-        What the error is taken to be.
-    order : int
-        Degree of C.
-    exact_start : bool
-        Give the errors before each stretch their share in the likelihood.
-    held_log_tau : float, optional
-        log τ, where it is not to be fitted.
-    knot_spacing_s : float, optional
-        Distance of the knots of a slow drift of zero mean; the constant belongs to the
-        characteristic.
+    ``y`` of shape (n,) is ψ' as measured, ``terms`` of shape (n, r) the terms of the
+    characteristic. Rows of ``weight`` 0 are simulated through, not scored; no equation straddles
+    two ``runs``. ``order`` is the degree of C; ``held_log_tau`` is log τ where it is not fitted.
+    With ``knot_spacing_s`` there is a slow drift of zero mean: the constant belongs to the
+    characteristic.
     """
 
     y: FloatArray
@@ -266,13 +210,7 @@ class LagData:
         return np.diff(np.searchsorted(self.scored, ends)).astype(np.int64)
 
     def n_parameters(self, n_terms: int) -> int:
-        """Return the number of fitted parameters, the start of each piece among them.
-
-        Parameters
-        ----------
-        n_terms : int
-            Terms of the characteristic, as the user counts them.
-        """
+        """Return the number of fitted parameters with so many terms, starts of pieces included."""
         starts = (1 if self.is_output_error else self.ahead) * len(self.pieces)
         return int(self.free.sum() + n_terms + self.drift.shape[1] + starts)
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from classic_ml.lag_data import LagData, Terms
-from classic_ml.likelihood import Profile, jacobian, profile
+from classic_ml.likelihood import Profile, profile
 from classic_ml.noise_models import MovingAverage
 from surge_core.fit_state import FitState
 from surge_core.leave_out import (
@@ -48,25 +48,10 @@ RANK_LIMIT = 1e-13
 class LagFit:
     """What a fit found, in the units of the user.
 
-    Parameters
-    ----------
-    shape : ndarray
-        Logarithm of τ in seconds, ρ of C.
-    coef : ndarray of shape (q,)
-        β of the terms as the user knows them.
-    drift : ndarray of shape (d,)
-        Coefficients of the drift.
-    moves : ndarray of shape (n_blocks, 1 + q)
-        By how much log τ and β move without each block.
-    curve_moves : ndarray of shape (n_blocks, r)
-        Moves of the coefficients of nearly orthogonal terms, their mean taken out. In powers of
-        φ the moves of β all but cancel in those of the curve; these do not.
-    cost : float
-        Sum of squared weighted errors.
-    n_errors, n_lags : int
-        Scored errors, and lags over which they hang together.
-    state : FitState
-        How it ended.
+    ``shape`` is log τ and ρ of C, ``coef`` β of the terms as the user knows them. ``moves``, a row
+    a block, is by how much log τ and β move without it; ``curve_moves`` are those of the
+    coefficients of nearly orthogonal terms, their mean taken out: in powers of φ the moves of β all
+    but cancel in those of the curve. ``n_lags`` is over how many errors they hang together.
     """
 
     shape: FloatArray
@@ -80,94 +65,20 @@ class LagFit:
     state: FitState
 
 
-@dataclass(frozen=True)
-class Newton:
-    """The cost near a profile, as a parabola in the free shape parameters.
-
-    Parameters
-    ----------
-    slope : ndarray of shape (s,)
-        Half the downhill slope of the cost.
-    curvature : ndarray of shape (s, s)
-        Half its curvature (Gauss-Newton), everything linear following.
-    jacobian : ndarray of shape (m, s + r + d)
-        ∂e/∂(free shape, β, drift).
-    normal : ndarray of shape (r, r)
-        Inner products of its columns of β, the drift apart.
-    """
-
-    slope: FloatArray
-    curvature: FloatArray
-    jacobian: FloatArray
-    normal: FloatArray
-
-    def step(self, damping: float) -> FloatArray:
-        """Return a damped step to the minimum."""
-        diagonal = np.diag(self.curvature)
-        # A parameter that moves nothing gets a pivot that leaves it where it is.
-        pivots = damping * diagonal + 1e-30 * np.max(diagonal, initial=0.0) + 1e-300
-        move = np.linalg.solve(self.curvature + np.diag(pivots), self.slope)
-        # log τ and ρ are of order one: longer moves leave the region where the slope holds.
-        longest = max(float(np.max(np.abs(move), initial=0.0)), 1e-300)
-        return np.asarray(move * min(1.0, 1.5 / longest))
-
-    @property
-    def decrement(self) -> float:
-        """What a full step would take from the cost."""
-        if not self.slope.size:
-            return 0.0
-        return float(self.slope @ np.linalg.lstsq(self.curvature, self.slope)[0])
-
-
-def newton(data: LagData, at: Profile) -> Newton:
-    """Return slope and curvature of the cost in the free shape parameters.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        Where.
-    """
-    s = int(data.free.sum())
-    both = jacobian(data, at)
-    gram = both.T @ both
-    if at.levels.size:
-        gram = _eliminated(gram, s + at.beta.size)
-    curvature = _eliminated(gram, s)
-    slope = -both[:, :s].T @ at.errors
-    return Newton(slope, curvature, both, gram[s:, s:])
-
-
-def _eliminated(gram: FloatArray, kept: int) -> FloatArray:
-    """Return inner products of the first columns, all others at their optimum."""
-    cross = gram[:kept, kept:]
-    return np.asarray(gram[:kept, :kept] - cross @ np.linalg.lstsq(gram[kept:, kept:], cross.T)[0])
-
-
 def fit_lag(data: LagData, terms: Terms) -> LagFit:
-    """Fit a lag model to a record.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model, its terms those of ``terms``.
-    terms : Terms
-        How they come from the user's.
-    """
+    """Fit a lag model to a record; ``terms`` says how those of the data come from the user's."""
     is_long = data.rows_of_errors.size > LONG_RECORD
-    at, near, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
+    at, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
     if n_lags > scored.size / BLOCKS:
         shortest = min(n_lags, slow_correlation_length(scored, data.piece_lengths))
-    found = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
-    s = int(data.free.sum())
+    found, s = without_blocks(at, _blocks(data, shortest)), at.n_shape
     moves = np.zeros((len(found), 1))
     moves[:, data.free[:1]] = found[:, : s - data.order]
     curve_moves = found[:, s : s + at.beta.size]
-    if terms.deficient or _is_deficient(near.normal):
+    if terms.deficient or _is_deficient(at.normal[s:, s:]):
         state = FitState.RANK_DEFICIENT
     return LagFit(
         at.shape,
@@ -182,21 +93,9 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     )
 
 
-def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> FloatArray:
-    """Return by how much the parameters move without each block of errors, linearised.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        The whole fit.
-    both : ndarray of shape (m, s + r + d)
-        Its ∂e/∂(free shape, β, drift).
-    blocks : list of slice
-        Errors of each block, in one stretch.
-    """
-    moves = leave_out(both, at.errors, blocks).moves
+def without_blocks(at: Profile, blocks: list[slice]) -> FloatArray:
+    """Return by how much shape, β and drift move without each block of errors, linearised."""
+    data, moves = at.data, leave_out(at.jacobian, at.errors, blocks).moves
     r, d = at.beta.size, at.levels.size
     constant = np.linalg.lstsq(data.terms, np.ones(data.y.size))[0]
     if d == 0 or not np.allclose(data.terms @ constant, 1.0):
@@ -230,40 +129,31 @@ def _is_deficient(gram: FloatArray) -> bool:
     return bool(values.size and values[0] <= RANK_LIMIT * values[-1])
 
 
-def _search(
-    data: LagData, starts: list[FloatArray], tolerance: float
-) -> tuple[Profile, Newton, FitState]:
+def _search(data: LagData, starts: list[FloatArray], tolerance: float) -> tuple[Profile, FitState]:
     """Refine from each start and return the best fit, and how it ended."""
-    found = []
-    for start in starts:
-        at = profile(data, start)
-        found.append((at, newton(data, at)))
+    found = [profile(data, start) for start in starts]
     if len(found) > 1:
         # The choice among them needs no more digits than their costs differ in.
-        ends = [_refine(data, at, near, CHOICE_DECREMENT)[:2] for at, near in found]
-        found = [min(ends, key=lambda end: end[0].cost - end[1].decrement)]
-    return _refine(data, *found[0], tolerance)
+        ends = [_refine(at, CHOICE_DECREMENT)[0] for at in found]
+        found = [min(ends, key=lambda end: end.cost - end.decrement)]
+    return _refine(found[0], tolerance)
 
 
-def _refine(
-    data: LagData, at: Profile, near: Newton, tolerance: float
-) -> tuple[Profile, Newton, FitState]:
+def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
+    data = at.data
     n_errors = max(data.scored.size, 1)
     damping, state = 1e-6, FitState.NOT_CONVERGED
-    left = near.decrement
     for _ in range(MAXIMUM_ITERATIONS):
-        if left <= tolerance * at.cost / n_errors:
+        if at.decrement <= tolerance * at.cost / n_errors:
             state = FitState.CONVERGED
             break
-        trial, damping = _step(data, at, near, damping, left)
+        trial, damping = _step(at, damping)
         if trial is None:
             # No downhill step is left within rounding: that is the minimum.
             state = FitState.CONVERGED
             break
         at = trial
-        near = newton(data, at)
-        left = near.decrement
-    if left <= COARSE_DECREMENT * at.cost / n_errors:
+    if at.decrement <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
     if data.held_log_tau is None:
         low, high = data.log_tau_bounds
@@ -271,18 +161,17 @@ def _refine(
             state = FitState.AT_LOWER_BOUND
         elif at.shape[0] >= high - 1e-9:
             state = FitState.AT_UPPER_BOUND
-    return at, near, state
+    return at, state
 
 
-def _step(
-    data: LagData, at: Profile, near: Newton, damping: float, left: float
-) -> tuple[Profile | None, float]:
+def _step(at: Profile, damping: float) -> tuple[Profile | None, float]:
     """Take a damped Gauss-Newton step that lowers the cost, or None when there is none."""
+    data = at.data
     # So near the end the cost itself has no digits left to compare.
-    blind = left <= BLIND * at.cost
+    blind = at.decrement <= BLIND * at.cost
     while damping < 1e8:
         shape = at.shape.copy()
-        shape[data.free] += near.step(damping)
+        shape[data.free] += at.step(damping)
         if data.held_log_tau is None:
             shape[0] = np.clip(shape[0], *data.log_tau_bounds)
         trial = profile(data, shape)
@@ -295,21 +184,17 @@ def _step(
 def _starts(data: LagData) -> list[FloatArray]:
     """Scan log τ on the head of the record, and search on that and on a longer head."""
     n_rows = sum(run.stop - run.start for run in data.runs)
-    heads = [rows for rows in (SCAN_ROWS, int(HEAD_SHARE * n_rows)) if SCAN_ROWS <= rows < n_rows]
-    heads = [rows for rows in heads if _is_enough(data.head(rows))]
-    starts = _shapes(data.head(heads[0]) if heads else data)
-    for rows in heads:
-        head = data.head(rows)
-        at, _, state = _search(head, starts, COARSE_DECREMENT)
+    lengths = [rows for rows in (SCAN_ROWS, int(HEAD_SHARE * n_rows)) if SCAN_ROWS <= rows < n_rows]
+    heads = [data.head(rows) for rows in lengths]
+    heads = [h for h in heads if h.scored.size > h.n_parameters(h.terms.shape[1]) + 3]
+    starts = _shapes(heads[0] if heads else data)
+    for head in heads:
+        at, state = _search(head, starts, COARSE_DECREMENT)
         if state is not FitState.CONVERGED:
             # φ stands still there, say: the choice is made on the whole record.
             return _shapes(data)
         starts = [at.shape]
     return starts
-
-
-def _is_enough(data: LagData) -> bool:
-    return bool(data.scored.size > data.n_parameters(data.terms.shape[1]) + 3)
 
 
 def _shapes(data: LagData) -> list[FloatArray]:

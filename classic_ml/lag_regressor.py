@@ -13,7 +13,7 @@ from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_names, term_names
-from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
+from classic_ml.fitted_curve import factor, lag_sheet
 from classic_ml.lag_data import LagData, Terms, nearly_orthogonal
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised
@@ -165,7 +165,9 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if data.scored.size <= data.n_parameters(terms.shape[1]):
             self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
             return self
-        if self.time_constant_s is None and _is_constant(y[data.weight > 0.0]):
+        scored = y[data.weight > 0.0]
+        response = np.ptp(scored) > NO_RESPONSE * np.max(np.abs(scored))
+        if self.time_constant_s is None and not response:
             self._store_static(y, terms, data, FitState.RANK_DEFICIENT)
             return self
         self._store(fit_lag(data, combined), data, combined)
@@ -322,20 +324,14 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     def _sheet(self) -> Sheet | None:
         if not hasattr(self, "fit_state_"):
             return None
-        state = self.fit_state_
-        held = " (held)" if self.time_constant_s is not None else ""
-        tone = "good" if state is FitState.CONVERGED else "advice"
-        lag = self.time_constant_s_, self.time_constant_stderr_s_
-        curve = self.terms_, self.coef_, self.covariance_
-        fields = (
-            Field("equation", equation_with_errors(lag, *curve)),
-            Field("state", f"{state.code}: {state.advice}", tone),
-            Field("time constant τ", milliseconds(*lag) + held),
+        return lag_sheet(
+            self,
+            f"{self.fit_state_.code}: {self.fit_state_.advice}",
+            self.time_constant_s,
             Field("noise", f"{self.noise}, hold “{self.hold}”"),
             Field("residual (std)", significant(self.residual_std_, 3)),
             Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),
         )
-        return Sheet("LagRegressor", fields, (characteristic_grid(*curve),))
 
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
@@ -449,7 +445,3 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.residual_lag_ = 1
         self.n_blocks_ = 0
         self.n_scored_ = int(np.count_nonzero(data.weight))
-
-
-def _is_constant(values: FloatArray) -> bool:
-    return bool(np.ptp(values) <= NO_RESPONSE * np.max(np.abs(values)))

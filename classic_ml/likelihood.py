@@ -9,6 +9,7 @@ squares and a search runs over the shape alone (variable projection, Golub and P
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,16 +24,10 @@ FORGOTTEN = 1e-17
 
 @dataclass(frozen=True)
 class Start:
-    """What the unknown start of a piece adds to its errors, as orthonormal columns.
+    """What the unknown start of a piece adds to those errors that still feel it.
 
-    Parameters
-    ----------
-    errors : slice
-        The errors that still feel it.
-    basis : ndarray of shape (m, order)
-        Its columns there.
-    size : float
-        Norm of the one column a^k, for output error.
+    The columns of ``basis`` are orthonormal; ``size`` is the norm of the one column a^k of output
+    error.
     """
 
     errors: slice
@@ -42,26 +37,15 @@ class Start:
 
 @dataclass(frozen=True)
 class Profile:
-    """The errors at a shape, everything linear at its optimum.
+    """The weighted errors at a shape (log τ, ρ), everything linear at its optimum.
 
-    Parameters
-    ----------
-    shape : ndarray
-        log τ, ρ.
-    beta : ndarray of shape (r,)
-        Coefficients of the terms.
-    levels : ndarray of shape (d,)
-        Coefficients of the drift.
-    errors : ndarray of shape (m,)
-        Weighted errors.
-    columns : ndarray of shape (m, r + d)
-        -∂e/∂(β, drift), the starts projected out.
-    starts : tuple of Start
-        The starts of the pieces.
-    offsets : ndarray of shape (n_starts,)
-        Coefficient of each start, for output error.
+    ``beta`` and ``levels`` are the coefficients of terms and drift, ``columns`` are
+    -∂e/∂(beta, levels) with the starts projected out, ``offsets`` the coefficients of the starts
+    for output error. Near it the cost is a parabola in the free shape parameters, everything linear
+    following (Gauss-Newton).
     """
 
+    data: LagData
     shape: FloatArray
     beta: FloatArray
     levels: FloatArray
@@ -75,27 +59,77 @@ class Profile:
         """Sum of squares."""
         return float(self.errors @ self.errors)
 
+    @property
+    def n_shape(self) -> int:
+        """Number of free shape parameters."""
+        return int(self.data.free.sum())
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """∂e/∂(free shape, β, drift), the starts projected out."""
+        both = np.zeros((self.errors.size, self.n_shape + self.columns.shape[1]), order="F")
+        slopes = both[:, : self.n_shape]
+        if self.data.is_output_error:
+            _slopes_of_free_run(self, slopes)
+        else:
+            _slopes_of_equations(self, slopes)
+        if self.data.root is not None:
+            slopes *= self.data.root[:, None]
+        _project(self.starts, slopes)
+        both[:, self.n_shape :] = -self.columns
+        return both
+
+    @cached_property
+    def normal(self) -> FloatArray:
+        """Inner products of the columns of shape and β, the drift at its optimum."""
+        gram = self.jacobian.T @ self.jacobian
+        return _eliminated(gram, self.n_shape + self.beta.size) if self.levels.size else gram
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """Half the curvature of the cost."""
+        return _eliminated(self.normal, self.n_shape)
+
+    @cached_property
+    def slope(self) -> FloatArray:
+        """Half the downhill slope of the cost."""
+        return np.asarray(-self.jacobian[:, : self.n_shape].T @ self.errors)
+
+    @cached_property
+    def decrement(self) -> float:
+        """What a full step to the minimum would take from the cost."""
+        if not self.slope.size:
+            return 0.0
+        return float(self.slope @ np.linalg.lstsq(self.curvature, self.slope)[0])
+
+    def step(self, damping: float) -> FloatArray:
+        """Return a damped step to the minimum."""
+        diagonal = np.diag(self.curvature)
+        # A parameter that moves nothing gets a pivot that leaves it where it is.
+        pivots = damping * diagonal + 1e-30 * np.max(diagonal, initial=0.0) + 1e-300
+        move = np.linalg.solve(self.curvature + np.diag(pivots), self.slope)
+        # log τ and ρ are of order one: longer moves leave the region where the slope holds.
+        longest = max(float(np.max(np.abs(move), initial=0.0)), 1e-300)
+        return np.asarray(move * min(1.0, 1.5 / longest))
+
+
+def _eliminated(gram: FloatArray, kept: int) -> FloatArray:
+    """Return inner products of the first columns, all others at their optimum."""
+    cross = gram[:kept, kept:]
+    return np.asarray(gram[:kept, :kept] - cross @ np.linalg.lstsq(gram[kept:, kept:], cross.T)[0])
+
 
 def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) -> Profile:
-    """Return the errors at a shape, with the best β, drift and starts.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    shape : ndarray
-        log τ, ρ.
-    beta : ndarray of shape (r,), optional
-        Coefficients of the terms, where they are given.
-    """
+    """Return the errors at a shape, with the best drift and starts, and the best β if not given."""
     lag, whitener = data.lag(shape[0]), MovingAverage(shape[1:])
     both = _columns_and_target(data, lag, whitener)
     starts = _starts(data, lag, whitener)
     taken = _project(starts, both)
     gram = both.T @ both
     r = data.terms.shape[1]
+    linear: FloatArray
     if beta is None:
-        linear = _least_squares(gram)
+        linear = np.asarray(np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0], np.float64)
     else:
         right = gram[r:-1, -1] - gram[r:-1, :r] @ beta
         linear = np.concatenate([beta, np.linalg.lstsq(gram[r:-1, r:-1], right)[0]])
@@ -103,39 +137,7 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
     offsets = np.zeros(0)
     if data.is_output_error:
         offsets = taken[:, -1] - taken[:, :-1] @ linear
-    return Profile(shape, linear[:r], linear[r:], errors, both[:, :-1], starts, offsets)
-
-
-def jacobian(data: LagData, at: Profile) -> FloatArray:
-    """Return ∂e/∂(free shape, β, drift), the starts projected out.
-
-    Parameters
-    ----------
-    data : LagData
-        Record and model.
-    at : Profile
-        What :func:`profile` gave.
-
-    Returns
-    -------
-    ndarray of shape (m, n_shape + r + d)
-    """
-    n_shape = int(data.free.sum())
-    both = np.zeros((at.errors.size, n_shape + at.columns.shape[1]), order="F")
-    slopes = both[:, :n_shape]
-    if data.is_output_error:
-        _slopes_of_free_run(data, at, slopes)
-    else:
-        _slopes_of_equations(data, at, slopes)
-    if data.root is not None:
-        slopes *= data.root[:, None]
-    _project(at.starts, slopes)
-    both[:, n_shape:] = -at.columns
-    return both
-
-
-def _least_squares(gram: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.lstsq(gram[:-1, :-1], gram[:-1, -1])[0])
+    return Profile(data, shape, linear[:r], linear[r:], errors, both[:, :-1], starts, offsets)
 
 
 def _project(starts: tuple[Start, ...], both: FloatArray) -> FloatArray:
@@ -222,8 +224,9 @@ def _starts(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> tuple
     return tuple(starts)
 
 
-def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
+def _slopes_of_free_run(at: Profile, slopes: FloatArray) -> None:
     """Fill in ∂e/∂(log τ), everything linear held."""
+    data = at.data
     if data.held_log_tau is not None:
         return
     lag = data.lag(at.shape[0])
@@ -238,8 +241,9 @@ def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
             slopes[start.errors, 0] -= offset / start.size * k * lag.ratio * lag.decay(k.size)
 
 
-def _slopes_of_equations(data: LagData, at: Profile, slopes: FloatArray) -> None:
+def _slopes_of_equations(at: Profile, slopes: FloatArray) -> None:
     """Fill in ∂e/∂(log τ, ρ), everything linear held."""
+    data = at.data
     lag, whitener = data.lag(at.shape[0]), MovingAverage(at.shape[1:])
     _, before, where = _predicted(data)
     quasi_steady = data.terms @ at.beta
@@ -247,13 +251,14 @@ def _slopes_of_equations(data: LagData, at: Profile, slopes: FloatArray) -> None
         measured = data.y - data.drift @ at.levels
         slopes[where, 0] = -lag.d_a * measured[before] - lag.drive(quasi_steady, 1)[before]
     if data.order:
-        slopes[:, -data.order :] = _late_errors(data, at) @ -whitener.jacobian
+        slopes[:, -data.order :] = _late_errors(at) @ -whitener.jacobian
     slopes[data.ahead_places] = 0.0
     slopes[:] = _whitened(data, whitener, slopes)
 
 
-def _late_errors(data: LagData, at: Profile) -> FloatArray:
+def _late_errors(at: Profile) -> FloatArray:
     """Return e[k-1] and e[k-2] beside each equation, of shape (m, order)."""
+    data = at.data
     errors = at.errors if data.root is None else at.errors / data.root
     late = np.zeros((errors.size, data.order))
     for back in range(1, data.order + 1):

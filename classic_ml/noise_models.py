@@ -73,13 +73,7 @@ class MovingAverage:
         return float(np.sqrt(c2) if c1**2 < 4.0 * c2 else 0.5 * (abs(c1) + np.sqrt(c1**2 - 4 * c2)))
 
     def whiten(self, rows: FloatArray) -> FloatArray:
-        """Return C(q)⁻¹ rows, from rest.
-
-        Parameters
-        ----------
-        rows : ndarray of shape (n,) or (n, p)
-            Equation errors of one stretch of rows.
-        """
+        """Return C(q)⁻¹ of the equation errors of one stretch, of shape (n,) or (n, p)."""
         if self.order == 0 or rows.shape[0] == 0:
             return rows
         from scipy.signal import lfilter
@@ -87,10 +81,9 @@ class MovingAverage:
         return np.asarray(lfilter([1.0], [1.0, *self.coefficients], rows, axis=0))
 
     def reach(self, n_rows: int) -> FloatArray:
-        """Return what the errors before a stretch add to its equations, (n_rows, order).
+        """Return what the errors before a stretch add to its equations, the oldest error first.
 
-        Columns from the oldest error to the newest: e[0] adds c₁ to the first equation and c₂ to
-        the second, e[-1] adds c₂ to the first.
+        e[0] adds c₁ to the first equation and c₂ to the second, e[-1] adds c₂ to the first.
         """
         from scipy.linalg import toeplitz
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -103,16 +103,8 @@ class OrderTable:
     ties: tuple[OrderRow, ...]
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A model, fitted to φ that acts so many samples late."""
-
-    model: LagRegressor
-    input_lag: int
-    n_parameters: int
-    log_power: float
-    white: bool
-    blocks: FloatArray
+# A model, and its errors by block on the later cycles.
+_Fitted = tuple[OrderRow, FloatArray]
 
 
 def select_order(
@@ -148,10 +140,6 @@ def select_order(
     progress : callable
         Wraps the iteration over the models, to show how far it is.
 
-    Returns
-    -------
-    OrderTable
-
     Raises
     ------
     InputError
@@ -180,7 +168,6 @@ def select_order(
     kinds = [(kind, c) for kind in noise for c in (ORDERS_OF_C if kind == "armax" else (0,))]
     orders = list(product(dict.fromkeys(kinds), input_lags, degrees))
     train = _earlier(labels)
-    n_free = at.size - int(labels[-1] + 1)
     fitted = []
     for (kind, c), lag, degree in progress(orders):
         model = LagRegressor(
@@ -194,7 +181,7 @@ def select_order(
             exact_start=False,
         )
         fitted.append(_fit(model, lag, inputs[at - lag], target[at], labels, train))
-    return _table(fitted, n_free)
+    return _table(fitted)
 
 
 def _usable(runs: list[slice], longest_lag: int) -> tuple[IntArray, IntArray]:
@@ -226,66 +213,60 @@ def _fit(
     model.fit(X, y, labels)
     predicted, known = model.one_step(X, y, labels)
     errors = np.where(known, y - predicted, 0.0)
-    white = whiteness(errors, runs_of(labels, y.size)).passed
-    n_parameters = 2 + model.coef_.size + model.noise_order
-    power = float(errors @ errors) / max(y.size - int(labels[-1] + 1), 1)
-    log_power = math.log(max(power, np.finfo(np.float64).tiny))
-    return _Fitted(model, lag, n_parameters, log_power, white, blocks)
+    n, p = y.size - int(labels[-1] + 1), 2 + model.coef_.size + model.noise_order
+    power = float(errors @ errors) / max(n, 1)
+    likelihood = n * math.log(max(power, np.finfo(np.float64).tiny))
+    penalty = 2.0 * p + 2.0 * p * (p + 1) / (n - p - 1) if n > p + 1 else math.inf
+    row = OrderRow(
+        model.noise,
+        model.noise_order,
+        lag,
+        model.degree,
+        p,
+        likelihood + penalty,
+        likelihood + p * math.log(n),
+        block_rms(blocks)[0],
+        math.nan,
+        float(model.time_constant_s_),
+        float(model.time_constant_stderr_s_),
+        whiteness(errors, runs_of(labels, y.size)).passed,
+        model.fit_state_.code,
+    )
+    return row, blocks
 
 
-def _table(fitted: list[_Fitted], n: int) -> OrderTable:
-    bic = [n * f.log_power + f.n_parameters * math.log(n) for f in fitted]
-    aicc = [n * f.log_power + _aicc_penalty(f.n_parameters, n) for f in fitted]
-    order = np.argsort(bic, kind="stable").tolist()
-    chosen, reason = _recommend(fitted, order)
+def _table(fitted: list[_Fitted]) -> OrderTable:
+    fitted = sorted(fitted, key=lambda one: one[0].bic)
+    chosen, reason = _recommend(fitted)
+    least_aicc, least_bic = min(row.aicc for row, _ in fitted), fitted[0][0].bic
     rows: list[OrderRow] = []
     ties: list[OrderRow] = []
-    for i in order:
-        f = fitted[i]
-        difference, paired = paired_difference(f.blocks, fitted[chosen].blocks)
-        row = OrderRow(
-            f.model.noise,
-            f.model.noise_order,
-            f.input_lag,
-            f.model.degree,
-            f.n_parameters,
-            aicc[i] - min(aicc),
-            bic[i] - min(bic),
-            block_rms(f.blocks)[0],
-            paired,
-            float(f.model.time_constant_s_),
-            float(f.model.time_constant_stderr_s_),
-            f.white,
-            f.model.fit_state_.code,
-        )
-        rows.append(row)
-        if i == chosen:
-            ties.insert(0, row)
+    for own, blocks in fitted:
+        difference, paired = paired_difference(blocks, chosen[1])
+        aicc, bic = own.aicc - least_aicc, own.bic - least_bic
+        rows.append(replace(own, aicc=aicc, bic=bic, paired_error=paired))
+        if own is chosen[0]:
+            ties.insert(0, rows[-1])
         elif abs(difference) <= paired:
-            ties.append(row)
+            ties.append(rows[-1])
     return OrderTable(tuple(rows), ties[0], reason, tuple(ties))
 
 
-def _aicc_penalty(p: int, n: int) -> float:
-    return 2.0 * p + 2.0 * p * (p + 1) / (n - p - 1) if n > p + 1 else math.inf
-
-
-def _recommend(fitted: list[_Fitted], order: list[int]) -> tuple[int, str]:
-    """Return the index of the row to take and why, ``order`` being that of the BIC."""
-    ended_well = [i for i in order if fitted[i].model.fit_state_ is FitState.CONVERGED]
+def _recommend(fitted: list[_Fitted]) -> tuple[_Fitted, str]:
+    """Return the model to take, of those in the order of their BIC, and why."""
+    ended_well = [one for one in fitted if one[0].state == FitState.CONVERGED]
     if not ended_well:
-        return order[0], "no fit ended well: least BIC of fits that should not be used"
-    best = ended_well[0]
-    if fitted[best].white:
-        return best, "least BIC, and its one-step errors are white, so that BIC holds"
-    leader = min(ended_well, key=lambda i: block_rms(fitted[i].blocks)[0])
+        return fitted[0], "no fit ended well: least BIC of fits that should not be used"
+    if ended_well[0][0].white:
+        reason = "least BIC, and its one-step errors are white, so that BIC holds"
+        return ended_well[0], reason
+    leader = min(ended_well, key=lambda one: one[0].held_out_rms)
     near = []
-    for i in ended_well:
-        difference, paired = paired_difference(fitted[i].blocks, fitted[leader].blocks)
+    for one in ended_well:
+        difference, paired = paired_difference(one[1], leader[1])
         if difference <= max(paired, 0.0):
-            near.append(i)
-    simplest = min(near, key=lambda i: (fitted[i].n_parameters, block_rms(fitted[i].blocks)[0]))
-    return simplest, (
+            near.append(one)
+    return min(near, key=lambda one: (one[0].n_parameters, one[0].held_out_rms)), (
         "simplest within one paired standard error of the best on the later cycles; the one-step "
         "errors of the row of least BIC are not white, so that BIC does not hold"
     )

@@ -28,26 +28,9 @@ def local_flows(
 ) -> Record:
     """Compute corrected flow and total pressure at every probe pair (Eq 1 to 3).
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures in Pa.
-    test : TestDescription
-        Places and probe constants.
-    planes : collection of int
-        Planes whose flow is wanted; of the others only the total pressures are returned.
-    probe_ramp : float
-        Below this calculated Mach number b of Eq 2 falls to nothing in proportion; 0: it jumps.
-
-    Returns
-    -------
-    Record
-        With ``Wc25_A_tip_kg_s``, ``Pt25_A_tip_Pa`` and so on for every pair in the record.
-
-    Raises
-    ------
-    InputError
-        When more than one in a hundred absolute pressures of a probe is not positive.
+    They are added as ``Wc25_A_tip_kg_s``, ``Pt25_A_tip_Pa`` and so on, the flow for some planes
+    alone; below the calculated Mach number ``probe_ramp`` b of Eq 2 falls to nothing in proportion.
+    A probe of which more than one in a hundred absolute pressures is not positive is refused.
     """
     added: list[Channel] = []
     reversed_share: dict[str, str | int | float | bool] = {}
@@ -89,25 +72,9 @@ def plane_averages(record: Record, test: TestDescription) -> Record:
 
     The arithmetic mean over the rakes is taken at each immersion and then over the immersions,
     so that a missing pair does not tilt the mean to the other immersion; with all pairs there
-    it is the plain arithmetic mean.
-
-    Parameters
-    ----------
-    record : Record
-        Local flows, and temperatures in K.
-    test : TestDescription
-        Places of the probes.
-
-    Returns
-    -------
-    Record
-        With ``P25_Pa``, ``T25_K``, ``Wc25_kg_s``, ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s`` and
-        ``W25_kg_s``; the same at plane 31 as far as its flow and T31 are known.
-
-    Raises
-    ------
-    InputError
-        When no pair is left.
+    it is the plain arithmetic mean. Added are ``P25_Pa``, ``T25_K``, ``Wc25_kg_s``,
+    ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s`` and ``W25_kg_s``; the same at plane 31 as far as its flow
+    and T31 are known. A plane of which no pair is left is refused.
     """
     columns: dict[str, FloatArray] = {}
     parameters: dict[str, str | int | float | bool] = {}

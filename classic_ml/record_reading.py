@@ -19,25 +19,10 @@ from surge_core.types import BoolArray, FloatArray
 class RecordReading:
     """The signals of a record and what a fit takes for granted of them.
 
-    The state comes from hub and tip flow alone: what is missing in ψ' would move levels that ψ'
-    had a say in, and with them hide.
-
-    Parameters
-    ----------
-    signals : RakeSignals
-        Every probe pair.
-    window : slice or None
-        Rows to stay in.
-    passes : Passes
-        The rows.
-    spec : Specification
-        Average, guards, blend.
-    in_stall : ndarray of bool, shape (n,)
-        The state.
-    levels : StallLevels or None
-        The flows of recovery and entry.
-    stalled : ndarray of bool, shape (N,), optional
-        The state of all rows as the reduction sees it, for records with one immersion.
+    Its state ``in_stall`` and the flow levels of recovery and entry come from hub and tip flow
+    alone: what is missing in ψ' would move levels that ψ' had a say in, and with them hide.
+    ``window`` holds the rows to stay in; ``stalled`` is the state of all rows as the reduction sees
+    it, for records with one immersion.
     """
 
     signals: RakeSignals
@@ -56,13 +41,7 @@ class RecordReading:
         degree: int = 2,
         stalled: BoolArray | None = None,
     ) -> RecordReading:
-        """Read a record.
-
-        Raises
-        ------
-        InputError
-            When it has no rows to fit.
-        """
+        """Read a record, or refuse one that has no rows to fit."""
         passes = _passes(signals, window, stalled)
         spec = specification(signals, passes, degree)
         state, levels = estimated_state(passes, spec, by_flow=True)
@@ -75,10 +54,7 @@ class RecordReading:
     def twin(self, psi_p: FloatArray) -> Twin:
         """Return the twin of the record under the lag model fitted to a ψ'.
 
-        Parameters
-        ----------
-        psi_p : ndarray of shape (n,)
-            On the rows of ``passes``, without what is not to be in the twin.
+        It is on the rows of ``passes``, without what is not to be in the twin.
         """
         passes = replace(self.passes, psi_p=psi_p)
         fit = fit_branches(passes, self.spec, self.in_stall)

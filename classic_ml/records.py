@@ -78,11 +78,10 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values)
-        if values.dtype != np.uint8:
-            values = np.asarray(values, dtype=np.float64)
+        given = np.asarray(self.values)
+        values = given if given.dtype == np.uint8 else np.asarray(given, dtype=np.float64)
         if values.flags.writeable:
-            values = values.copy()
+            values = values.copy() if values is given else values
             values.setflags(write=False)
         object.__setattr__(self, "values", values)
 
@@ -135,16 +134,11 @@ class Record(Displayed):
 
     @classmethod
     def from_arrays(
-        cls,
-        arrays: Mapping[str, tuple[ArrayLike, str]],
-        *,
-        sample_rate_hz: float,
-        start_s: float = 0.0,
-        source: str = "",
+        cls, arrays: Mapping[str, tuple[ArrayLike, str]], *, sample_rate_hz: float, source: str = ""
     ) -> Record:
         """Build a record from ``{name: (values, unit)}``."""
         channels = {n: Channel(n, np.asarray(v), unit) for n, (v, unit) in arrays.items()}
-        return cls(channels, sample_rate_hz, start_s, source)
+        return cls(channels, sample_rate_hz, source=source)
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return the samples of one channel."""

@@ -41,7 +41,7 @@ from classic_ml.whole_record.rakes import RakeSignals, rake_signals
 from classic_ml.work.forms import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
-from surge_core.types import BoolArray
+from surge_core.types import BoolArray, FloatArray
 
 # As often as a reduction reports that it has got further.
 STEPS = 5
@@ -50,6 +50,8 @@ STEPS = 5
 REGIMES_DIFFER = 0.2
 # What the window is looked for with.
 AHEAD = ReductionSettings()
+# By channel, what was filtered in the search for the window, and what came out.
+_Filtered = dict[str, tuple[FloatArray, FloatArray]]
 # Of the unfiltered averages, what is laid beside the filtered ones.
 UNFILTERED = {
     "P25_Pa": "P25_unfiltered_Pa",
@@ -145,10 +147,12 @@ def reduce_record(
     chosen = settings if settings is not None else ReductionSettings()
     record, _ = _matched(record, test)
     progress(1)
-    window = _window(record, test, chosen)
+    filtered: _Filtered = {}
+    window = _window(record, test, chosen, filtered)
     record = choose_channels(record.after(window.entry), test, window.rows)
     progress(1)
-    averaged = _averaged(record, test, chosen)
+    averaged = _averaged(record, test, chosen, filtered)
+    del filtered
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     progress(1)
@@ -201,7 +205,9 @@ def _matched(record: Record, test: TestDescription) -> tuple[Record, dict[str, f
     return matched.after(check_near_stall(matched, test, shifts)), shifts
 
 
-def _window(record: Record, test: TestDescription, settings: ReductionSettings) -> _Window:
+def _window(
+    record: Record, test: TestDescription, settings: ReductionSettings, filtered: _Filtered
+) -> _Window:
     """Return the quasi-steady window, and where it came from."""
     for times_s, origin, where in (
         (settings.window_s, "the settings", f"{record.source}: ReductionSettings.window_s"),
@@ -217,8 +223,8 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     # Looked for in all channels, bridged: which of them can be used depends on the window, and a
     # dropout must not end it.
     bridged = with_faults_bridged(record, test.channel_names)
-    filtered = _low_passed(bridged, test, AHEAD)
-    flows = local_flows(filtered, test, planes=(25,), probe_ramp=settings.probe_ramp)
+    slow = filter_channels(bridged, test.channel_names, done=filtered, **AHEAD.low_pass)
+    flows = local_flows(slow, test, planes=(25,), probe_ramp=settings.probe_ramp)
     averages = plane_averages(flows, test)
     speed = Channel("Nc_frac", corrected_speed_fraction(averages["T25_K"], test), "1")
     cycles = find_cycles(averages.after(LedgerEntry("speed", "of the window"), add=[speed]))
@@ -248,22 +254,15 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     return _Window(times_s, window_rows(record, times_s), entry)
 
 
-def _low_passed(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
-    """Filter all channels alike."""
-    return filter_channels(
-        record,
-        [name for name in test.channel_names if name in record],
-        order=settings.filter_order,
-        cutoff_hz=settings.cutoff_hz,
-        phase=settings.phase,
-    )
-
-
-def _averaged(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
-    """Filter, and average over each plane."""
-    filtered = _low_passed(record, test, settings)
-    inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
-    return plane_averages(local_flows(inverted, test, probe_ramp=settings.probe_ramp), test)
+def _averaged(
+    record: Record, test: TestDescription, settings: ReductionSettings, filtered: _Filtered
+) -> Record:
+    """Filter all channels alike, and average over each plane."""
+    names = [name for name in test.channel_names if name in record]
+    done = filtered if settings.low_pass == AHEAD.low_pass else {}
+    record = filter_channels(record, names, done=done, **settings.low_pass)
+    record = invert_thermocouples(record, test, invert=settings.thermocouple_inversion)
+    return plane_averages(local_flows(record, test, probe_ramp=settings.probe_ramp), test)
 
 
 def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
@@ -291,14 +290,11 @@ def _unfiltered(
     plain = plain.without(set(_of_probes(plain, test)) - faults)
     plain = coefficients(plain, test)
     entry = LedgerEntry("keep", "P25 under the name that it has beside the filtered one")
-    inlet = plain.channel("P25_Pa")
-    renamed = [replace(inlet, name="P25_unfiltered_Pa")]
+    renamed = [replace(plain.channel("P25_Pa"), name="P25_unfiltered_Pa")]
     if not rakes.one_rake:
         # The last are those of total pressure.
-        renamed += [
-            replace(inlet, name=RAKE_DIFFERENCE, values=apart)
-            for apart in rakes.cell_differences(25)[-1:]
-        ]
+        apart = rakes.cell_differences(25)[-1:]
+        renamed += [Channel(RAKE_DIFFERENCE, values, "Pa") for values in apart]
     return plain.after(entry, add=renamed), rakes
 
 
@@ -364,9 +360,7 @@ def _with_states(
     free_run, entry = free_run_rows(unfiltered, stalled, inside, period_s)
     entry = replace(entry, parameters={**entry.parameters, **parameters}, flags=flags)
     columns = {"stalled": stalled, "free_run": free_run}
-    return record.after(
-        entry, add=[Channel.adopt(n, v.astype(np.float64), "1") for n, v in columns.items()]
-    )
+    return record.after(entry, add=[Channel(n, v.astype(float), "1") for n, v in columns.items()])
 
 
 def _segmented(

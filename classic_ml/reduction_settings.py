@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,13 @@ _CHOICES = {
     "filter_order": (3, 5),
     "phase": ("zero", "causal", "none"),
     "work_form": WORK_FORMS,
+}
+# What must be above zero, or one of these.
+_POSITIVE: dict[str, tuple[object, ...]] = {
+    "cutoff_hz": (),
+    "threshold_lbm_s": (None, "none"),
+    "hysteresis_lbm_s": (None, 0.0),
+    "probe_ramp": (0.0,),
 }
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
@@ -66,23 +74,24 @@ class ReductionSettings:
     window_s: tuple[float, float] | None = None
     probe_ramp: float = 0.0
 
+    @property
+    def low_pass(self) -> dict[str, Any]:
+        """The filter, as :func:`classic_ml.filters.low_pass` takes it."""
+        return {"order": self.filter_order, "cutoff_hz": self.cutoff_hz, "phase": self.phase}
+
     def __post_init__(self) -> None:
         where = "ReductionSettings."
         for name, choices in _CHOICES.items():
             one_of(where + name, getattr(self, name), choices)
-        positive(where + "cutoff_hz", self.cutoff_hz)
+        for name, free in _POSITIVE.items():
+            if getattr(self, name) not in free:
+                positive(where + name, getattr(self, name))
         if self.cutoff_hz < LEAST_CUTOFF_HZ:
             raise InputError(
                 where + "cutoff_hz",
                 expected=f"at least {LEAST_CUTOFF_HZ:g} Hz, so that the surge cycles pass",
                 found=f"{self.cutoff_hz:g}",
             )
-        if self.threshold_lbm_s not in (None, "none"):
-            positive(where + "threshold_lbm_s", self.threshold_lbm_s)
-        if self.hysteresis_lbm_s not in (None, 0.0):
-            positive(where + "hysteresis_lbm_s", self.hysteresis_lbm_s)
-        if self.probe_ramp != 0.0:
-            positive(where + "probe_ramp", self.probe_ramp)
         window = self.window_s
         # A time that is no number is neither before nor behind another.
         if window is not None and not (

@@ -33,22 +33,7 @@ LEAST_UNSTALLED = 0.02
 
 
 def window_rows(record: Record, window_s: tuple[float, float], where: str = "window") -> slice:
-    """Return the rows of a window, or refuse one that the record does not hold.
-
-    Parameters
-    ----------
-    record : Record
-        For its clock.
-    window_s : tuple of float
-        First and last time.
-    where : str
-        What to call the window in an error, e.g. ``"test.toml: [window]"``.
-
-    Returns
-    -------
-    slice
-        Its rows.
-    """
+    """Return the rows of a window, or refuse one, called ``where``, that is not in the record."""
     half = 0.5 * record.sample_period_s
     first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
     rows = record.rows_between(*window_s)
@@ -66,21 +51,10 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
 def in_stall_by_threshold(
     corrected_kg_s: FloatArray, threshold_kg_s: float, hysteresis_kg_s: float = 0.0
 ) -> BoolArray:
-    """Return the in-stall state by a threshold of the corrected inlet flow.
+    """Return the in-stall state by a threshold of the corrected inlet flow, the paper's 50 lbm/s.
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow at plane 25.
-    threshold_kg_s : float
-        The paper's 50 lbm/s, in kg/s.
-    hysteresis_kg_s : float
-        Stall begins below threshold − hysteresis and ends above threshold + hysteresis.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True in stall. Until the flow first leaves the band, the state is that of its middle.
+    Stall begins below threshold − hysteresis and ends above threshold + hysteresis; until the flow
+    first leaves that band, the state is that of its middle.
     """
     stalled = corrected_kg_s < threshold_kg_s - hysteresis_kg_s
     if hysteresis_kg_s > 0.0 and stalled.size:
@@ -95,18 +69,6 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
     Where two rakes were read it is the peak next to that of their difference.
-
-    Parameters
-    ----------
-    record : Record
-        With the plane average ``P25_unfiltered_Pa``, and ``P25_rake_difference_Pa`` where known.
-    window : slice
-        Rows of the surge cycles.
-
-    Returns
-    -------
-    float
-        Frequency in Hz.
     """
     return _cell_line(record, window)[0]
 
@@ -142,24 +104,8 @@ def shows_stall(record: Record, window: slice) -> bool:
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     """Return the in-stall state by the machine itself: in stall the hub passes more than the tip.
 
-    Parameters
-    ----------
-    record : Record
-        As for :func:`hub_tip_difference`.
-    window : slice
-        Rows of the surge cycles, whose median difference is the scale.
-    cell_hz : float
-        Rotating-stall frequency; the difference is averaged over one of its periods.
-
-    Returns
-    -------
-    ndarray of bool, shape (n_samples,)
-        True where the difference is above half its median in the window.
-
-    Raises
-    ------
-    InputError
-        When that median is not above zero.
+    True where the difference, averaged over one period of the stall cells, is above half its median
+    in the window of the surge cycles; refused where that median is not above zero.
     """
     shift = record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
     shift = period_average(shift, 1.0 / cell_hz, record.sample_rate_hz)
@@ -181,26 +127,12 @@ def estimated_threshold_lbm_s(
     The machine shows its state by the shift between hub and tip; the threshold is the middle of
     the flows that divide the rows of the window as that state does, as nearly as the switches
     decide: within one standard error of the fewest rows on the wrong side. Without
-    such a shift it is the flow that leaves the least variance on its two sides (Otsu's method),
-    where the flow comes back to a good part of that before surge at all.
+    such a shift (``state`` None) it is the flow that leaves the least variance on its two sides
+    (Otsu's method), where the flow comes back to a good part of that before surge at all. It is
+    None where hardly a row of the window is unstalled.
 
-    Parameters
-    ----------
-    record : Record
-        Unfiltered averages.
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow at plane 25, filtered, which the threshold will be applied to.
-    window : slice
-        Rows of the surge cycles.
-    state : ndarray of bool, shape (n,), optional
-        In-stall state by :func:`hub_tip_stall`; None where hub and tip do not show it.
-
-    Returns
-    -------
-    float or None
-        In lbm/s; None where hardly a row of the window is unstalled.
-    LedgerEntry
-        How it was estimated.
+    The record holds the unfiltered averages; ``corrected_kg_s`` is the filtered flow, which the
+    threshold will be applied to.
     """
     flow = corrected_kg_s[window]
     order = np.argsort(flow)
@@ -212,7 +144,9 @@ def estimated_threshold_lbm_s(
         # Rows that a threshold behind each flow in turn gives the wrong state.
         upto = np.cumsum(stalled)
         cost = n_below - 2 * upto[:-1] + upto[-1]
-        slack = _error_of_count((flow <= in_order[int(np.argmin(cost))]) != state[window])
+        wrong = (flow <= in_order[int(np.argmin(cost))]) != state[window]
+        # The standard error of their number: those of one stretch are wrong together.
+        slack = float(np.linalg.norm(np.diff(intervals_where(wrong), axis=1)))
         how = "the shift between hub and tip"
     else:
         unstalled = 1.0 if _recovers(record, window) else 0.0
@@ -231,42 +165,14 @@ def estimated_threshold_lbm_s(
     return threshold, LedgerEntry("threshold", did, parameters)
 
 
-def _error_of_count(wrong: BoolArray) -> float:
-    """Return the standard error of a count of rows: those of one stretch are wrong together."""
-    lengths = np.diff(intervals_where(wrong), axis=1)
-    return float(np.sqrt(np.sum(lengths.astype(np.float64) ** 2)))
-
-
 def segment(
-    record: Record,
-    window: slice,
-    *,
-    threshold_lbm_s: float | None,
-    hysteresis_lbm_s: float = 0.0,
+    record: Record, window: slice, *, threshold_lbm_s: float | None, hysteresis_lbm_s: float = 0.0
 ) -> Record:
     """Mark the in-stall rows and number the in-stall intervals inside the window.
 
-    Parameters
-    ----------
-    record : Record
-        Plane averages.
-    window : slice
-        Rows of the quasi-steady cycles.
-    threshold_lbm_s : float or None
-        Corrected inlet flow between the regimes; None for a record without an unstalled regime,
-        whose window is one segment.
-    hysteresis_lbm_s : float
-        Half width of the band around the threshold.
-
-    Returns
-    -------
-    Record
-        With ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
-
-    Raises
-    ------
-    InputError
-        When no row of the window is in stall.
+    The record gets ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
+    Without a threshold there is no unstalled regime and the window is one segment; it is refused
+    where no row of it is in stall.
     """
     n_rows, flow = record.n_samples, record["Wc25_kg_s"]
     inside = np.zeros(n_rows, dtype=np.bool_)
@@ -305,10 +211,8 @@ def segment(
     dropped += (Dropped("rows", n_rows - n_scored, why),)
     did = f"{n_segments} segments with {n_scored} rows"
     columns = {"in_stall": state, "window": inside, "segment": labels}
-    return record.after(
-        LedgerEntry("segment", did, parameters, dropped, flags),
-        add=[Channel.adopt(n, v.astype(np.float64), "1") for n, v in columns.items()],
-    )
+    entry = LedgerEntry("segment", did, parameters, dropped, flags)
+    return record.after(entry, add=[Channel(n, v.astype(float), "1") for n, v in columns.items()])
 
 
 def _recovers(record: Record, window: slice) -> bool:

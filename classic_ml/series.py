@@ -20,41 +20,40 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 MINIMUM_ROWS = 100
 
 
-class _Column(NamedTuple):
-    """Unit of a column, what it is, and beyond which values no compressor works."""
+class Column(NamedTuple):
+    """Unit of a column, what it is, beyond which values no compressor works, and its type."""
 
     unit: str
     long_name: str
     low: float = -np.inf
     high: float = np.inf
+    kind: type[np.generic] = np.float64
 
 
 # φ = 1 is already an axial Mach number of order one at any useful wheel speed, and ψ' = 100 would
 # be a pressure ratio beyond 10^4 at 300 m/s.
-_KNOWN = {
-    "time_s": _Column("s", "facility clock"),
-    "phi": _Column("1", "flow coefficient", -3.0, 3.0),
-    "psi_p": _Column("1", "instantaneous pressure coefficient", -100.0, 100.0),
-    "psi": _Column("1", "instantaneous work coefficient", -1000.0, 1000.0),
-    "T25_K": _Column("K", "inlet total temperature", 50.0, 3000.0),
-    "Nc_frac": _Column("1", "corrected speed over design corrected speed", 0.01, 2.0),
-    "in_stall": _Column("1", "in stall by the rule of the reduction", 0, 1),
-    "segment": _Column("1", "number of the interval to be fitted, 0 outside of all", 0),
-    "phi_unfiltered": _Column("1", "flow coefficient from unfiltered pressures", -3.0, 3.0),
-    "psi_p_unfiltered": _Column(
+KNOWN = {
+    "time_s": Column("s", "facility clock"),
+    "phi": Column("1", "flow coefficient", -3.0, 3.0),
+    "psi_p": Column("1", "instantaneous pressure coefficient", -100.0, 100.0),
+    "psi": Column("1", "instantaneous work coefficient", -1000.0, 1000.0),
+    "T25_K": Column("K", "inlet total temperature", 50.0, 3000.0),
+    "Nc_frac": Column("1", "corrected speed over design corrected speed", 0.01, 2.0),
+    "in_stall": Column("1", "in stall by the rule of the reduction", 0, 1, np.bool_),
+    "segment": Column(
+        "1", "number of the interval to be fitted, 0 outside of all", 0, kind=np.int64
+    ),
+    "phi_unfiltered": Column("1", "flow coefficient from unfiltered pressures", -3.0, 3.0),
+    "psi_p_unfiltered": Column(
         "1", "instantaneous pressure coefficient from unfiltered pressures", -100.0, 100.0
     ),
-    "stalled": _Column("1", "in stall as hub and tip flow show it", 0, 1),
-    "free_run": _Column("1", "free run: 0 outside, 1 simulated through, 2 scored", 0, 2),
+    "stalled": Column("1", "in stall as hub and tip flow show it", 0, 1, np.bool_),
+    "free_run": Column("1", "free run: 0 outside, 1 simulated through, 2 scored", 0, 2, np.int64),
 }
-COLUMNS = tuple(_KNOWN)
+COLUMNS = tuple(KNOWN)
 # Of every probe pair, unfiltered: its flow and total pressure; and what goes with them.
 RAKE_COLUMN = re.compile(r"(Wc|Pt)(25|31)_\w+_(kg_s|Pa)|T25_unfiltered_K|readings_count")
 REQUIRED_COLUMNS = COLUMNS[:3]
-UNITS = {name: column.unit for name, column in _KNOWN.items()}
-LONG_NAMES = {name: column.long_name for name, column in _KNOWN.items()}
-TRUTH_COLUMNS = ("in_stall", "stalled")
-COUNT_COLUMNS = ("segment", "free_run")
 
 # What a display shows of the signals: label, factor and unit.
 SHOWN = {
@@ -135,7 +134,12 @@ class CoefficientSeries(Displayed):
             name: values.astype(np.float32, copy=False) for name, values in self.rakes.items()
         }
         object.__setattr__(self, "rakes", single)
-        _check_lengths(self)
+        lengths = {name: values.size for name, values in self.columns().items()}
+        if len(set(lengths.values())) > 1:
+            raise InputError(self.source, expected="columns of one length", found=str(lengths))
+        n_rows, expected = self.n_samples, f"at least {MINIMUM_ROWS} rows"
+        if n_rows < MINIMUM_ROWS:
+            raise InputError(self.source, expected=expected, found=f"{n_rows}")
         uniform_period_s(self.time_s, f"{self.source}: column time_s")
         for name in ("phi", "psi_p"):
             values = getattr(self, name)
@@ -208,19 +212,18 @@ class CoefficientSeries(Displayed):
 def _checked_column(source: str, name: str, given: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return a column read-only and of its type, or refuse its first row that is impossible."""
     values: NDArray[Any] = np.asarray(given)
-    where, known = f"{source}: column {name}", _KNOWN[name]
+    where, known = f"{source}: column {name}", KNOWN[name]
     if values.ndim != 1:
         raise InputError(where, expected="one value a row", found=f"shape {values.shape}")
-    kind = np.bool_ if name in TRUTH_COLUMNS else np.int64 if name in COUNT_COLUMNS else np.float64
     finite, expected = np.isfinite(values), "a finite number in every row"
     possible = finite
     if finite.all():
         possible = (values >= known.low) & (values <= known.high)
         expected = f"values between {known.low:g} and {known.high:g}"
         expected += "" if known.unit == "1" else f" {known.unit}"
-        if kind is not np.float64:
+        if known.kind is not np.float64:
             possible &= values == np.round(values.astype(np.float64))
-            expected = "0 or 1" if kind is np.bool_ else "whole numbers from 0 on"
+            expected = "0 or 1" if known.kind is np.bool_ else "whole numbers from 0 on"
     bad = np.flatnonzero(~possible)
     if bad.size:
         raise InputError(
@@ -229,18 +232,8 @@ def _checked_column(source: str, name: str, given: NDArray[np.generic]) -> NDArr
             found=f"{values[bad[0]]:g} in row {bad[0] + 1}",
             remedy="check the units and the calibration, or cut the record there",
         )
-    if values.dtype == kind and not values.flags.writeable:
+    if values.dtype == known.kind and not values.flags.writeable:
         return values
-    column: NDArray[np.generic] = values.astype(kind)
+    column: NDArray[np.generic] = values.astype(known.kind)
     column.setflags(write=False)
     return column
-
-
-def _check_lengths(series: CoefficientSeries) -> None:
-    lengths = {name: values.size for name, values in series.columns().items()}
-    if len(set(lengths.values())) > 1:
-        raise InputError(series.source, expected="columns of one length", found=str(lengths))
-    if series.n_samples < MINIMUM_ROWS:
-        raise InputError(
-            series.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{series.n_samples}"
-        )

@@ -117,8 +117,11 @@ def kind_of_unit(unit: str) -> str:
     if unit.strip().lower() in _COUNT_WORDS:
         return COUNT
     plain, _ = split_reference(unit)
-    kinds = (("pressure", plain), ("temperature", unit), ("time", unit))
-    return next((kind for kind, name in kinds if _to_si(name.strip(), kind) is not None), "")
+    kinds = {"pressure": plain, "temperature": unit.strip(), "time": unit.strip()}
+    # pint, which takes half a second to load, is asked for uncommon units alone.
+    common = [kind for kind, name in kinds.items() if name in COMMON_UNITS[kind].split(", ")]
+    others = (kind for kind, name in kinds.items() if _to_si(name, kind) is not None)
+    return next(iter(common), "") or next(others, "")
 
 
 def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:

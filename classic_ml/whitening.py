@@ -16,22 +16,10 @@ ROWS_FOR_ORDER = 50_000
 def lagged_correlation(
     first: FloatArray, second: FloatArray, runs: list[slice], n_lags: int
 ) -> FloatArray:
-    """Return the correlation of two signals within their segments, over lags of both signs.
+    """Return the correlation of two signals, level and all, over lags -n_lags … n_lags.
 
-    Parameters
-    ----------
-    first, second : ndarray of shape (n,)
-        The signals; their level counts as part of them.
-    runs : list of slice
-        Their segments; no product straddles two.
-    n_lags : int
-        Largest lag to either side.
-
-    Returns
-    -------
-    ndarray of shape (2 * n_lags + 1,)
-        Lags -n_lags … n_lags, positive where the first signal comes later. Products are summed
-        over what a segment has and divided by the power of the whole.
+    A lag is positive where the first signal comes later. Products are summed over what a segment
+    has, straddle none, and are divided by the power of the whole.
     """
     from scipy.signal import correlate
 
@@ -51,21 +39,9 @@ def lagged_correlation(
 def bartlett_widening(
     first: FloatArray, second: FloatArray, runs: list[slice], n_lags: int
 ) -> float:
-    """Return by how much the memory of two signals widens the band of their correlation.
+    """Return by how much the memory of two level signals widens the band of their correlation.
 
-    Parameters
-    ----------
-    first, second : ndarray of shape (n,)
-        Signals without their level.
-    runs : list of slice
-        Their segments.
-    n_lags : int
-        Lags over which both memories are summed.
-
-    Returns
-    -------
-    float
-        √(1 + 2 Σ ρ₁(k) ρ₂(k)), at least 1 (Bartlett 1946).
+    √(1 + 2 Σ ρ₁(k) ρ₂(k)) over n_lags, at least 1 (Bartlett 1946).
     """
     memories = [lagged_correlation(s, s, runs, n_lags)[n_lags + 1 :] for s in (first, second)]
     return math.sqrt(max(1.0 + 2.0 * float(memories[0] @ memories[1]), 1.0))
@@ -74,18 +50,8 @@ def bartlett_widening(
 def autoregressive_innovations(errors: FloatArray, runs: list[slice]) -> FloatArray:
     """Return what an autoregression cannot predict of a signal that is known in segments.
 
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        The signal.
-    runs : list of slice
-        Its segments. The first rows of each, which have too few before them, are left out.
-
-    Returns
-    -------
-    ndarray of shape (m,)
-        Innovations of the order, up to 27, that BIC prefers; the order stays below a quarter of
-        the typical segment, so that most rows remain.
+    Its order, up to 27, is the one that BIC prefers below a quarter of the typical segment, so that
+    most rows remain; the first of each segment, which have too few before them, are left out.
     """
     lengths = [run.stop - run.start for run in runs]
     longest = int(np.median(lengths)) // 4 if lengths else 0

@@ -11,21 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_names
-from classic_ml.checks import (
-    CheckRow,
-    coverage,
-    input_correlation,
-    leverage,
-)
-from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, milliseconds
+from classic_ml.checks import CheckRow, coverage, input_correlation, leverage
+from classic_ml.fitted_curve import lag_sheet
 from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
+from classic_ml.records import counted
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     StackedRuns,
@@ -88,18 +84,14 @@ class WholeRunFit(Displayed):
     rows_: tuple[WholeRunRows, ...]
 
     def _sheet(self) -> Sheet:
-        state = self.fit_state_
-        held = " (held)" if self.model_.time_constant_s is not None else ""
-        n_rows, n_runs = sum(row.phi.size for row in self.rows_), len(self.rows_)
-        lag = self.time_constant_s_, self.time_constant_stderr_s_
-        curve = self.terms_, self.coef_, self.covariance_
-        fields = (
-            Field("equation", equation_with_errors(lag, *curve)),
-            Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
-            Field("time constant τ", milliseconds(*lag) + held),
+        n_rows = sum(row.phi.size for row in self.rows_)
+        return lag_sheet(
+            self,
+            self.fit_state_.advice,
+            self.model_.time_constant_s,
             Field(
                 "fitted to",
-                f"{n_runs} run{'' if n_runs == 1 else 's'} of unfiltered signals, {n_rows} rows, "
+                f"{counted(len(self.rows_), 'run')} of unfiltered signals, {n_rows} rows, "
                 "averaged over one period of the stall cells",
             ),
             Field(
@@ -108,7 +100,6 @@ class WholeRunFit(Displayed):
                 "blocks, with those that all cycles share",
             ),
         )
-        return Sheet("WholeRunFit", fields, (characteristic_grid(*curve),))
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -189,27 +180,44 @@ def fit_whole_runs(
     """
     check_rates(records)
     rows = scored_until([whole_run_rows(record, degree) for record in records], until_s)
-    stacked = stacked_rows(rows)
+    stacked, held = stacked_rows(rows), time_constant_s is not None
     model = output_error(records[0].sample_period_s, hold, time_constant_s)
-    if not np.any(stacked.scored):
-        return _refusal(model, rows, degree)
-    stacked.fitted(model)
-    held, spread = time_constant_s is not None, Spread(0.0, np.zeros((degree + 1, degree + 1)))
-    if not held and until_s is None and not is_blowdown(rows):
-        spread = specification_spread(records, degree=degree, hold=hold)
-    return _result(model, rows, degree, spread)
+    n_terms, n_blocks, state = degree + 1, 0, FitState.BLOWDOWN
+    tau_s = stderr_s = math.nan
+    coef, covariance = np.zeros(n_terms), np.full((n_terms, n_terms), math.nan)
+    # Without a row to score nothing is fitted, not even to the rows that are held out.
+    if np.any(stacked.scored):
+        stacked.fitted(model)
+        coef, n_blocks = model.coef_[:n_terms], int(model.n_blocks_)
+        blowdown = is_blowdown(rows)
+        # A held τ was not read from these rows.
+        if held or not blowdown:
+            tau_s, stderr_s = model.time_constant_s_, model.time_constant_stderr_s_
+        if not blowdown:
+            state, covariance = model.fit_state_, model.covariance_[:n_terms, :n_terms]
+            if not held and until_s is None:
+                spread = specification_spread(records, degree=degree, hold=hold)
+                stderr_s = math.hypot(stderr_s, spread.log_tau * tau_s)
+                covariance = covariance + spread.curve
+    return WholeRunFit(
+        tau_s,
+        stderr_s,
+        polynomial_names("phi", degree),
+        coef,
+        covariance,
+        degree,
+        n_blocks,
+        state,
+        model,
+        rows,
+    )
 
 
 @dataclass(frozen=True)
 class Spread:
     """How far τ and the curve move under choices that could as well have been made.
 
-    Parameters
-    ----------
-    log_tau : float
-        Standard deviation of log τ.
-    curve : ndarray of shape (q, q)
-        Covariance of the coefficients.
+    The standard deviation of log τ, and the covariance of the coefficients.
     """
 
     log_tau: float
@@ -227,23 +235,19 @@ def specification_spread(
     """Fit other rows and another degree.
 
     A jackknife over cycles cannot see what all cycles share; what the choices of the fit make of it
-    shows here.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        At one sample rate, with their unfiltered columns.
-    degree : int
-        Of the characteristic.
-    hold : {"zero", "first"}
-        How φ acts between samples.
+    shows here. Arguments as for :func:`fit_whole_runs`.
     """
-    rows = tuple(whole_run_rows(record, degree) for record in records)
+    rows = [whole_run_rows(record, degree) for record in records]
     period_s = records[0].sample_period_s
-    chosen = [rows, *(_farther(rows, round(each / period_s)) for each in FARTHER_S)]
-    chosen += [_without_end(rows, low) for low in (True, False)]
+    chosen = [rows]
+    for far in (round(each / period_s) for each in FARTHER_S):
+        chosen.append([row.without(near(row.weight == 0.0, far, far)) for row in rows])
+    ends = np.array([LEFT_OUT_SHARE, 1.0 - LEFT_OUT_SHARE])
+    low, high = np.quantile(np.concatenate([row.scored_phi for row in rows]), ends)
+    chosen.append([row.without(row.phi < low) for row in rows])
+    chosen.append([row.without(row.phi >= high) for row in rows])
     logs, curves = [], []
-    higher = tuple(whole_run_rows(record, degree + 1) for record in records)
+    higher = [whole_run_rows(record, degree + 1) for record in records]
     for each, order in [*((one, degree) for one in chosen), (higher, degree + 1)]:
         stacked = stacked_rows(each)
         if np.count_nonzero(stacked.scored) <= order + 1 + each[0].nuisance.shape[1]:
@@ -255,71 +259,6 @@ def specification_spread(
     apart = np.clip(np.array(logs) - logs[0], -FARTHEST, FARTHEST)
     moved = np.array(curves) - np.mean(curves, axis=0)
     return Spread(float(np.std(apart)), moved.T @ moved / len(curves))
-
-
-def _farther(rows: tuple[WholeRunRows, ...], n_rows: int) -> tuple[WholeRunRows, ...]:
-    """Score only rows that lie farther from those that are not scored."""
-    return tuple(
-        replace(row, weight=np.where(near(row.weight == 0.0, n_rows, n_rows), 0.0, row.weight))
-        for row in rows
-    )
-
-
-def _without_end(rows: tuple[WholeRunRows, ...], low: bool) -> tuple[WholeRunRows, ...]:
-    """Leave the lowest or the highest φ out."""
-    share = LEFT_OUT_SHARE if low else 1.0 - LEFT_OUT_SHARE
-    end = float(np.quantile(np.concatenate([row.scored_phi for row in rows]), share))
-    return tuple(
-        replace(row, weight=np.where((row.phi < end) == low, 0.0, row.weight)) for row in rows
-    )
-
-
-def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -> WholeRunFit:
-    """Without a row to score: nothing is fitted, not even to the rows that are held out."""
-    return WholeRunFit(
-        math.nan,
-        math.nan,
-        polynomial_names("phi", degree),
-        np.zeros(degree + 1),
-        np.full((degree + 1, degree + 1), math.nan),
-        degree,
-        0,
-        FitState.BLOWDOWN,
-        model,
-        rows,
-    )
-
-
-def _result(
-    model: LagRegressor,
-    rows: tuple[WholeRunRows, ...],
-    degree: int,
-    spread: Spread,
-) -> WholeRunFit:
-    n_terms = degree + 1
-    state = model.fit_state_
-    covariance = model.covariance_[:n_terms, :n_terms] + spread.curve
-    held = model.time_constant_s is not None
-    tau_s, stderr_s = model.time_constant_s_, model.time_constant_stderr_s_
-    if not held:
-        stderr_s = math.hypot(stderr_s, spread.log_tau * tau_s)
-    if is_blowdown(rows):
-        state = FitState.BLOWDOWN
-        covariance[:] = math.nan
-        # A held τ was not read from these rows.
-        tau_s, stderr_s = (tau_s, stderr_s) if held else (math.nan, math.nan)
-    return WholeRunFit(
-        tau_s,
-        stderr_s,
-        polynomial_names("phi", degree),
-        model.coef_[:n_terms],
-        covariance,
-        degree,
-        int(model.n_blocks_),
-        state,
-        model,
-        rows,
-    )
 
 
 def check_rates(records: Sequence[CoefficientSeries]) -> None:

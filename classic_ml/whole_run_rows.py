@@ -59,6 +59,10 @@ class WholeRunRows:
         """Averaged φ of the rows that are scored: where a fit to them knows the curve."""
         return np.asarray(self.phi[self.weight > 0.0])
 
+    def without(self, left_out: BoolArray) -> WholeRunRows:
+        """Return the same with some rows simulated through."""
+        return replace(self, weight=np.where(left_out, 0.0, self.weight))
+
     @property
     def cycle(self) -> IntArray:
         """Number of the surge cycle of each row: from one entry into stall to the next."""
@@ -139,35 +143,18 @@ def whole_run_rows(
 def scored_until(
     rows: Sequence[WholeRunRows], until_s: Sequence[float] | None
 ) -> tuple[WholeRunRows, ...]:
-    """Return the rows, scored up to a time only; the rest is held out.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    until_s : sequence of float, optional
-        Time for each record; without it all stays as it is.
-    """
+    """Return the rows of each record, scored up to its time only; the rest is held out."""
     if until_s is None:
         return tuple(rows)
+    shares = [float(np.mean(row.time_s <= end)) for row, end in zip(rows, until_s, strict=True)]
     return tuple(
-        replace(
-            row,
-            weight=np.where(row.time_s <= end, row.weight, 0.0),
-            in_stall_rows=int(row.in_stall_rows * np.mean(row.time_s <= end)),
-        )
-        for row, end in zip(rows, until_s, strict=True)
+        replace(row.without(row.time_s > end), in_stall_rows=int(row.in_stall_rows * share))
+        for row, end, share in zip(rows, until_s, shares, strict=True)
     )
 
 
 def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
-    """Tell whether hardly a row in stall is in forward flow: then τ is not to be read.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    """
+    """Tell whether hardly a row in stall is in forward flow: then τ is not to be read."""
     scored = sum(float(row.weight.sum()) for row in rows)
     in_stall = sum(row.in_stall_rows for row in rows)
     return scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS)
@@ -207,13 +194,7 @@ class StackedRuns:
 
 
 def stacked_rows(rows: Sequence[WholeRunRows]) -> StackedRuns:
-    """Return the runs one behind the other.
-
-    Parameters
-    ----------
-    rows : sequence of WholeRunRows
-        One for each record.
-    """
+    """Return the runs one behind the other."""
     terms = np.concatenate([row.terms for row in rows])
     nuisance = np.concatenate([row.nuisance for row in rows])
     # Columns that are nothing would make the fit look rank deficient.

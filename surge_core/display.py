@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import html
 import textwrap
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 _LINE_WIDTH = 100
@@ -32,16 +32,9 @@ _STYLE = """
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of a value.
+    """One quantity of a value: its name, and what it is, with its unit, in one line or several.
 
-    Parameters
-    ----------
-    label : str
-        What it is.
-    value : str or tuple of str
-        What it is, with its unit, in one line or several.
-    tone : {"plain", "good", "advice"}
-        How it is set: a state that ended well, or one that asks for something.
+    The tone is "plain", or that of a state: "good", or "advice" where it asks for something.
     """
 
     label: str
@@ -96,17 +89,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What is shown of a value.
-
-    Parameters
-    ----------
-    title : str
-        What it is.
-    fields : tuple of Field
-        Its quantities.
-    grids : tuple of Grid
-        Its tables.
-    """
+    """What is shown of a value: what it is, its quantities, its tables."""
 
     title: str
     fields: tuple[Field, ...]
@@ -137,15 +120,15 @@ class Sheet:
         """Return the sheet as a self-contained piece of HTML without scripts, all of it escaped."""
         rows = []
         for field in self.fields:
-            value = "<br>".join(map(_escape, field.lines))
+            value = "<br>".join(map(escape, field.lines))
             if field.tone != "plain":
                 kind = "state" if field.tone == "good" else "state advice"
                 value = f'<div class="{kind}">{value}</div>'
-            rows.append(f'<tr><th scope="row">{_escape(field.label)}</th><td>{value}</td></tr>')
+            rows.append(f'<tr><th scope="row">{escape(field.label)}</th><td>{value}</td></tr>')
         grids = "".join(map(_html_grid, self.grids))
         return (
             f'<div class="sindy-surge"><style>{_STYLE}</style>'
-            f"<table><caption>{_escape(self.title)}</caption><tbody>{''.join(rows)}</tbody></table>"
+            f"<table><caption>{escape(self.title)}</caption><tbody>{''.join(rows)}</tbody></table>"
             f"{grids}</div>"
         )
 
@@ -207,25 +190,21 @@ class FittedDisplay:
 def _html_grid(grid: Grid) -> str:
     kinds = ["" if column in grid.words else ' class="n"' for column in range(len(grid.header))]
     head = "".join(
-        f'<th scope="col"{kind}>{_escape(cell)}</th>'
+        f'<th scope="col"{kind}>{escape(cell)}</th>'
         for kind, cell in zip(kinds, grid.header, strict=True)
     )
     body = []
     for number, row in enumerate(grid.rows):
         cells = "".join(
-            f'<th scope="row"{kind}>{_escape(cell)}</th>'
+            f'<th scope="row"{kind}>{escape(cell)}</th>'
             if column == 0
-            else f"<td{kind}>{_escape(cell)}</td>"
+            else f"<td{kind}>{escape(cell)}</td>"
             for column, (kind, cell) in enumerate(zip(kinds, row, strict=True))
         )
         chosen = ' class="chosen"' if number == grid.marked else ""
         body.append(f"<tr{chosen}>{cells}</tr>")
-    caption = "" if grid.folded else f"<caption>{_escape(grid.title)}</caption>"
+    caption = "" if grid.folded else f"<caption>{escape(grid.title)}</caption>"
     text = f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     if not grid.folded:
         return text
-    return f"<details><summary>{_escape(grid.title)}</summary>{text}</details>"
-
-
-def _escape(text: str) -> str:
-    return html.escape(text, quote=True)
+    return f"<details><summary>{escape(grid.title)}</summary>{text}</details>"

@@ -13,51 +13,25 @@ from surge_core.errors import InputError
 
 
 def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse, before any work is done, a target that cannot be written.
-
-    Parameters
-    ----------
-    path : path
-        Where a result is to go.
-    suffixes : tuple of str
-        Suffixes that are allowed; empty for any.
-
-    Raises
-    ------
-    InputError
-        When the folder does not exist, the target is a folder, or the suffix is another.
-    """
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise InputError(
-            str(path),
-            expected="an output file ending in " + " or ".join(suffixes),
-            found=f"the suffix '{path.suffix}'",
-        )
-    if path.is_dir():
-        raise InputError(str(path), expected="a file to write to", found="a folder")
-    if path.exists() and not path.is_file():
-        raise InputError(str(path), expected="a plain file to write to", found="a device or pipe")
-    if not path.parent.is_dir():
-        raise InputError(str(path), expected="an existing folder", found=f"no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(str(path), expected="a folder that can be written to", found="no right")
+    """Refuse, before any work is done, a target that cannot be written or has another suffix."""
+    ending, folder = " or ".join(suffixes), path.parent
+    for wrong, expected, found in (
+        (
+            suffixes and path.suffix.lower() not in suffixes,
+            f"an output file ending in {ending}",
+            f"the suffix '{path.suffix}'",
+        ),
+        (path.is_dir(), "a file to write to", "a folder"),
+        (path.exists() and not path.is_file(), "a plain file to write to", "a device or pipe"),
+        (not folder.is_dir(), "an existing folder", f"no folder {folder}"),
+        (not os.access(folder, os.W_OK), "a folder that can be written to", "no right"),
+    ):
+        if wrong:
+            raise InputError(str(path), expected=expected, found=found)
 
 
 def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
-    """Refuse an output that would replace an input or another output.
-
-    Parameters
-    ----------
-    inputs : iterable of path
-        Files that are read.
-    outputs : iterable of path
-        Files that are to be written.
-
-    Raises
-    ------
-    InputError
-        Naming the file.
-    """
+    """Refuse an output that would replace an input or another output."""
     taken = {path.resolve(): "an input of this command" for path in inputs}
     for path in outputs:
         if path.resolve() in taken:
@@ -71,14 +45,9 @@ def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
 
 
 def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary neighbour, then put it in place of the target.
+    """Let ``write(temporary)`` fill a neighbour of the target, then put it in its place.
 
-    Parameters
-    ----------
-    path : path
-        Target.
-    write : callable
-        ``write(temporary)`` fills the file; if it fails, nothing is left behind.
+    If that fails, nothing is left behind.
     """
     check_target(path)
     temporary = path.with_name(f".{path.stem}-{os.urandom(4).hex()}{path.suffix}")
@@ -97,26 +66,12 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Target.
-    text : str
-        Its content, written as UTF-8.
-    """
+    """Write a text file in UTF-8, whole or not at all."""
     replace_whole(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
 def to_strict_json(document: dict[str, Any] | list[Any]) -> str:
-    """Return JSON in which a number that is not finite is null: JSON has no NaN.
-
-    Parameters
-    ----------
-    document : dict or list
-        Of plain types.
-    """
+    """Return plain types as JSON, in which a number that is not finite is null."""
     return json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 

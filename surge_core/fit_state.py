@@ -183,20 +183,17 @@ class FitState(StrEnum):
     @property
     def withholds(self) -> bool:
         """Whether no time constant is stated for a whole record."""
-        return self.code in WITHHOLDING
+        return self in WITHHOLDING
 
 
-# Codes of the states in which no time constant of a whole record is stated.
-WITHHOLDING = frozenset(
-    state.code
-    for state in (
-        FitState.BLOWDOWN,
-        FitState.UNCERTAIN,
-        FitState.TWIN_BIASED,
-        FitState.MISALIGNED,
-        FitState.STATES_PART,
-        FitState.ONE_IMMERSION,
-        FitState.TOO_FEW_CYCLES,
-        FitState.AT_SEARCH_END,
-    )
-)
+# The states, each equal to its code, in which no time constant of a whole record is stated.
+WITHHOLDING: frozenset[str] = frozenset({
+    FitState.BLOWDOWN,
+    FitState.UNCERTAIN,
+    FitState.TWIN_BIASED,
+    FitState.MISALIGNED,
+    FitState.STATES_PART,
+    FitState.ONE_IMMERSION,
+    FitState.TOO_FEW_CYCLES,
+    FitState.AT_SEARCH_END,
+})  # fmt: skip

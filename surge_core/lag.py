@@ -108,18 +108,9 @@ class FirstOrderLag:
         )
 
     def drive(self, quasi_steady: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return ``Σ_i taps[i] f[k-m-i]`` for k = 1 … n-1.
+        """Return ``Σ_i taps[i] f[k-m-i]`` for k = 1 … n-1, f of shape (n,) or (n, p).
 
-        Parameters
-        ----------
-        quasi_steady : ndarray of shape (n,) or (n, p)
-            Samples of f.
-        derivative : {0, 1}
-            The drive itself, or its derivative with respect to log τ for the f that is given.
-
-        Returns
-        -------
-        ndarray of shape (n - 1,) or (n - 1, p)
+        With ``derivative`` 1, its derivative with respect to log τ for the f that is given.
         """
         taps, m, n = self.taps[derivative], self.whole_samples, quasi_steady.shape[0]
         if self.dead_time_s == 0.0:
@@ -131,29 +122,11 @@ class FirstOrderLag:
         return np.asarray(taps[0] * late[0] + taps[1] * late[1] + taps[2] * late[2])
 
     def respond(self, quasi_steady: FloatArray, start: FloatArray | float) -> FloatArray:
-        """Return the state x for the input f, in O(n).
-
-        Parameters
-        ----------
-        quasi_steady : ndarray of shape (n,) or (n, p)
-            Samples of f.
-        start : float or ndarray of shape (p,)
-            State at the first sample.
-
-        Returns
-        -------
-        ndarray of the shape of ``quasi_steady``
-        """
+        """Return the state x for the input f of shape (n,) or (n, p), from its start, in O(n)."""
         return self.accumulate(self.drive(quasi_steady), start)
 
     def d_respond(self, quasi_steady: FloatArray, state: FloatArray) -> FloatArray:
-        """Return ∂x/∂(log τ) of the state x that :meth:`respond` gave, its start held fixed.
-
-        Parameters
-        ----------
-        quasi_steady, state : ndarray of shape (n,) or (n, p)
-            Samples of f, and the state.
-        """
+        """Return ∂x/∂(log τ) of the state x that :meth:`respond` gave, its start held fixed."""
         forcing = self.drive(quasi_steady, 1) + self.d_a * state[:-1]
         return self.accumulate(forcing, np.zeros_like(state[0]))
 

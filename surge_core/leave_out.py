@@ -29,24 +29,12 @@ NO_DIRECTION = 1e-13
 class Rest:
     """The fits without each block.
 
-    Parameters
-    ----------
-    moves : ndarray of shape (n_blocks, p)
-        Parameters without the block less those of the whole fit.
-    inverse : ndarray of shape (n_blocks, p, p)
-        Inverse of the normal matrix of the other blocks.
+    ``moves`` of shape (n_blocks, p) are the parameters without the block less those of the whole
+    fit, ``inverse`` the inverse of the normal matrix of the other blocks.
     """
 
     moves: FloatArray
     inverse: FloatArray
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Invert scaled normal matrices, leaving out what is rounding."""
-    values, vectors = np.linalg.eigh(matrix)
-    kept = values > NO_DIRECTION
-    half = vectors * np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[..., None, :]
-    return np.asarray(half @ np.swapaxes(half, -1, -2))
 
 
 def leave_out(
@@ -54,23 +42,8 @@ def leave_out(
     errors: FloatArray,
     blocks: Sequence[slice | IndexArray],
 ) -> Rest:
-    """Refit without each block, linearised about the whole fit.
+    """Refit without each block of rows, linearised about the whole fit by ∂e/∂θ and the errors e.
 
-    Parameters
-    ----------
-    jacobian : ndarray of shape (n, p)
-        ∂e/∂θ.
-    errors : ndarray of shape (n,)
-        The errors e at the optimum.
-    blocks : sequence of slice or ndarray of int
-        Rows of each block.
-
-    Returns
-    -------
-    Rest
-
-    Notes
-    -----
     Without block g, θ moves by -(J'J - A_g)⁻¹ (J'e - J_g'e_g), A_g = J_g'J_g: exact for a linear
     fit (Cook and Weisberg 1982, section 3.5), at the cost of one pass over the rows whatever the
     number of blocks. A direction that one block alone determines does not move without it.
@@ -83,25 +56,20 @@ def leave_out(
     rest[:, :-1] /= scale[:, None]
     rest[:, :, :-1] /= scale
     # Scaled by the whole: a direction that only the block sees is rounding in the rest.
-    inverse = _inverse(rest[:, :-1, :-1])
+    values, vectors = np.linalg.eigh(rest[:, :-1, :-1])
+    kept = values > NO_DIRECTION
+    half = vectors * np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[..., None, :]
+    inverse = half @ np.swapaxes(half, -1, -2)
     moves = -np.einsum("gij,gj->gi", inverse, rest[:, :-1, -1]) / scale
     return Rest(moves, inverse / np.outer(scale, scale))
 
 
 def scatter(moves: FloatArray) -> FloatArray:
-    """Return the jackknife's covariance from what leaving out each block does.
+    """Return the jackknife's covariance from the moves without each block, of shape (n_blocks, p).
 
-    Parameters
-    ----------
-    moves : ndarray of shape (n_blocks, p)
-
-    Returns
-    -------
-    ndarray of shape (p, p)
-        (G-1)/G times the scatter of the moves: the sandwich CR3 of Bell and McCaffrey (2002). It
-        allows for colour, for errors that grow with the signal, and for blocks that carry much of
-        the information; on a dozen short segments a Newey-West sum states errors that are far too
-        small.
+    (G-1)/G times their scatter: the sandwich CR3 of Bell and McCaffrey (2002). It allows for
+    colour, for errors that grow with the signal, and for blocks that carry much of the information;
+    on a dozen short segments a Newey-West sum states errors that are far too small.
     """
     spread = moves - moves.mean(axis=0)
     return np.asarray((len(moves) - 1) / len(moves) * spread.T @ spread)
@@ -110,12 +78,8 @@ def scatter(moves: FloatArray) -> FloatArray:
 def block_edges(piece_lengths: ArrayLike, n_lags: int) -> list[IntArray]:
     """Return where each stretch is cut into blocks, counted from its own first error.
 
-    Parameters
-    ----------
-    piece_lengths : array-like of int
-        Rows of each stretch. A short stretch (one surge cycle) is a block; a long one is cut.
-    n_lags : int
-        Rows over which errors hang together; no block is cut shorter.
+    A short stretch (one surge cycle) is a block; a long one is cut, but no shorter than the
+    ``n_lags`` rows over which errors hang together.
     """
     lengths = np.asarray(piece_lengths, dtype=np.int64)
     total = int(lengths.sum())
@@ -131,20 +95,10 @@ def block_edges(piece_lengths: ArrayLike, n_lags: int) -> list[IntArray]:
 
 
 def correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int:
-    """Return the number of lags over which errors still hang together.
+    """Return the number of lags over which errors of stretches, one after the other, hang together.
 
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Errors of all stretches, one after the other.
-    piece_lengths : array-like of int
-        Rows of each stretch.
-
-    Returns
-    -------
-    int
-        Twice the lag after which five autocorrelations in a row are insignificant (Politis
-        2003), at least 1, at most the longest stretch.
+    Twice the lag after which five autocorrelations in a row are insignificant (Politis 2003), at
+    least 1, at most the longest stretch.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -168,26 +122,15 @@ def slow_correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int
     A block has to be long against what does not average out within it. A ripple hangs together
     over the whole record and yet averages out in a few of its periods; judged by it, four blocks
     would be left, and an error known to no better than 40 %.
-
-    Parameters
-    ----------
-    errors, piece_lengths
-        As in :func:`correlation_length`.
     """
     lengths = np.asarray(piece_lengths, dtype=np.int64)
     n_bin = max(errors.size // (BLOCKS * BINS_A_BLOCK), 1)
     # Overlapping bins with tapered ends: a plain sum would fold a ripple back as a slow wave.
     taper = np.hanning(2 * n_bin + 1)
     starts = np.concatenate([[0], np.cumsum(lengths)])
-    bins, counts = [], []
-    for low, high in pairwise(starts.tolist()):
-        n = (high - low) // n_bin - 1
-        if n < 1:
-            continue
-        counts.append(n)
-        for k in range(n):
-            part = errors[low + k * n_bin : low + (k + 2) * n_bin]
-            bins.append(float(part @ taper[: part.size]))
-    if not bins or max(counts) < 8:
+    firsts = [range(low, high - 2 * n_bin + 1, n_bin) for low, high in pairwise(starts.tolist())]
+    counts = [len(own) for own in firsts if own]
+    if max(counts, default=0) < 8:
         return int(lengths.max())
+    bins = [errors[k : k + 2 * n_bin] @ taper[:-1] for own in firsts for k in own]
     return n_bin * (1 + correlation_length(np.asarray(bins), counts))

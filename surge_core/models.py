@@ -54,19 +54,9 @@ class _Mistake(NamedTuple):
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file.
+    """Read a TOML file, or refuse it as no such file or no TOML; ``what`` it should be, in words.
 
-    Parameters
-    ----------
-    path : path
-        The file; a byte-order mark, as Windows programs write it, does not count.
-    what : str
-        What it should be, in words.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, or it is no TOML; in one sentence with the line.
+    A byte-order mark, as Windows programs write it, does not count.
     """
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
@@ -82,24 +72,12 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def validated(model: type[M], data: Mapping[str, Any], where: str) -> M:
-    """Return a declaration as its model, or refuse it with all that is wrong.
+    """Return a declaration, as `tomllib` reads it, as its model, or refuse all that is wrong.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        What it must be. A field's ``description`` says what is expected there, as in "a radius of
-        0.02 to 2 m", and ``json_schema_extra={"remedy": …}`` how to correct it. A validator may
-        raise `InputError`, whose `where` then names a key of its own table (or is empty), or
-        a ValueError.
-    data : mapping
-        As `tomllib` reads it.
-    where : str
-        The file, which the error names first.
-
-    Raises
-    ------
-    InputError
-        In one sentence: each key at fault, what was expected there and what was found.
+    A field's ``description`` says what is expected there, as in "a radius of 0.02 to 2 m", and
+    ``json_schema_extra={"remedy": …}`` how to correct it. A validator may raise `InputError`, whose
+    `where` then names a key of its own table (or is empty), or a ValueError. The error names the
+    file (``where``), each key at fault, what was expected there and what was found.
     """
     try:
         return model.model_validate(data)

@@ -15,19 +15,11 @@ MINIMUM_LOSS_BLOCKS, FEWEST_LOSSES = 12, 16
 
 
 def diebold_mariano(losses: FloatArray, runs: list[slice]) -> float:
-    """Test whether two predictions are equally accurate on average.
+    """Test whether two predictions are equally accurate on average: the two-sided p-value.
 
-    Parameters
-    ----------
-    losses : ndarray of shape (n,)
-        Loss of one prediction minus that of the other, row by row in the order of time.
-    runs : list of slice
-        Segments; each is a block, and where there are fewer than twelve they are cut.
-
-    Returns
-    -------
-    float
-        Two-sided p-value; NaN for fewer than 16 rows and for losses that do not differ.
+    ``losses`` are those of one less those of the other, row by row in the order of time; each
+    segment is a block, and where there are fewer than twelve they are cut. NaN for fewer than 16
+    rows and for losses that do not differ.
 
     Notes
     -----
@@ -57,17 +49,10 @@ def diebold_mariano(losses: FloatArray, runs: list[slice]) -> float:
 def block_errors(
     error: FloatArray, runs: list[slice], scored: BoolArray | None = None
 ) -> FloatArray:
-    """Return the sum of squares and row count of each block, of shape (n_blocks, 2).
+    """Return the sum of squares and the number of rows that count of each block.
 
-    Parameters
-    ----------
-    error : ndarray of shape (n,)
-        Measurement minus prediction.
-    runs : list of slice
-        Segments; each is a block, and where there are fewer than six they are cut into as many
-        pieces as make six.
-    scored : ndarray of bool, shape (n,), optional
-        Rows that count.
+    Each segment is a block; where there are fewer than six they are cut into as many pieces as make
+    six. The result is of shape (n_blocks, 2).
     """
     keep = np.ones(error.size, dtype=np.bool_) if scored is None else scored
     blocks = _blocks(runs, MINIMUM_BLOCKS)
@@ -82,18 +67,10 @@ def _blocks(runs: list[slice], fewest: int) -> list[slice]:
 
 
 def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Return the difference of two rms errors on the same blocks, and its paired error.
+    """Return the difference of two rms errors, of :func:`block_errors`, and its paired error.
 
-    Parameters
-    ----------
-    blocks, reference : ndarray of shape (n_blocks, 2)
-        What :func:`block_errors` gave for the same rows.
-
-    Returns
-    -------
-    difference, paired_error : float
-        rms minus rms of the reference, and the jackknife standard error of that difference over
-        the blocks: the blocks are shared, so what makes one hard is hard for both.
+    That is the jackknife standard error over the blocks: they are shared, so what makes one hard is
+    hard for both.
     """
     errors = np.sqrt(_means(blocks)) - np.sqrt(_means(reference))
     return float(errors[0]), _jackknife(errors[1:])
@@ -102,14 +79,9 @@ def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float,
 def compared(
     errors: FloatArray, least: FloatArray, runs: list[slice]
 ) -> tuple[float, float, float]:
-    """Return the difference of two rms errors on the same rows, its paired error and p-value.
+    """Return by how much the rms of errors exceeds the least, the paired error and the p-value.
 
-    Parameters
-    ----------
-    errors, least : ndarray of shape (n,)
-        Errors, and those of the least rms; of the same errors the difference is 0.
-    runs : list of slice
-        Segments.
+    Of the same errors the difference is 0.
     """
     if errors is least or not errors.size:
         return 0.0, 0.0, math.nan
@@ -118,13 +90,7 @@ def compared(
 
 
 def block_rms(blocks: FloatArray) -> tuple[float, float]:
-    """Return the rms error over blocks and its jackknife standard error.
-
-    Parameters
-    ----------
-    blocks : ndarray of shape (n_blocks, 2)
-        What :func:`block_errors` gave.
-    """
+    """Return the rms error over what :func:`block_errors` gave, and its jackknife error."""
     if not blocks.size:
         return math.nan, math.nan
     errors = np.sqrt(_means(blocks))

@@ -19,19 +19,7 @@ LARGEST_SHARE = 0.95
 def shown_over(
     items: Iterable[_T], *, unit: str = "step", words: str = "", total: int | None = None
 ) -> Iterable[_T]:
-    """Show how far an iteration is.
-
-    Parameters
-    ----------
-    items : iterable
-        What is worked through.
-    unit : str
-        What one of them is.
-    words : str
-        What is done.
-    total : int, optional
-        How many there are, where they come one by one; without it they are counted first.
-    """
+    """Show how far an iteration is; without a total, the items are counted first."""
     from tqdm import tqdm
 
     if total is None:
@@ -46,13 +34,9 @@ def shown_steps(
 ) -> Iterator[Callable[[str], None]]:
     """Give a function that says which step begins.
 
-    Parameters
-    ----------
-    steps : int or sequence of float
-        How many there are at most, or how long each lasts as a rule, in seconds: then the time
-        left is shown too, scaled by how long those that are done have taken.
-    lines : bool
-        Where stderr is no terminal, write a line a step instead of nothing.
+    ``steps`` is how many there are at most, or how long each lasts as a rule, in seconds: then the
+    time left is shown too, scaled by how long those that are done have taken. With ``lines``, a
+    line a step is written where stderr is no terminal, instead of nothing.
     """
     from tqdm import tqdm
 
@@ -115,14 +99,7 @@ def shown_count(
 ) -> Iterator[Callable[..., object]]:
     """Give a function to be called with how many more are done; one more without a number.
 
-    Parameters
-    ----------
-    words : str
-        What is done.
-    unit : str
-        What is counted; rows, of which there are many, are shown in thousands and millions.
-    total : int, optional
-        How many there are, where that is known.
+    Rows, of which there are many, are shown in thousands and millions.
     """
     from tqdm import tqdm
 

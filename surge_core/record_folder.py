@@ -20,19 +20,8 @@ def write_record_folder(
 ) -> None:
     """Write columns and tables, by their place in a folder that is new or empty.
 
-    Parameters
-    ----------
-    folder : path
-        The folder.
-    columns : mapping of str to mapping of str to (ndarray, str)
-        Columns of each CSV file by name, with their formats; whole numbers are written as such.
-    tables : mapping of str to mapping
-        Content of each TOML file.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something already, or is a file.
+    The columns of each CSV file have a format each, but whole numbers are written as such; of a
+    table in TOML what is None is left out.
     """
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise InputError(
@@ -53,13 +42,7 @@ def write_record_folder(
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Return a table of numbers, texts, lists and tables as TOML; what is None is left out.
-
-    Parameters
-    ----------
-    table : mapping
-        The content.
-    """
+    """Return a table of numbers, texts, lists and tables as TOML; what is None is left out."""
     return "\n".join(_lines(table)).lstrip("\n") + "\n"
 
 

@@ -15,20 +15,9 @@ def round_to_error(value: float, error: float) -> str:
     """Round a value and its standard error as the Particle Data Group does.
 
     The error keeps two digits when its first three lie between 100 and 354, one up to 949, and
-    is rounded up to 1000 with two digits beyond; the value keeps as many decimals.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    error : float
-        Its standard error, in the same unit.
-
-    Returns
-    -------
-    str
-        E.g. ``"30.1 ± 1.2"``, ``"(1.21 ± 0.05)e-06"``; ``"30.12 ± ?"`` where the error is not
-        known, ``"n/a"`` where the value is not.
+    is rounded up to 1000 with two digits beyond; the value keeps as many decimals. E.g.
+    ``"30.1 ± 1.2"``, ``"(1.21 ± 0.05)e-06"``; ``"30.12 ± ?"`` where the error is not known,
+    ``"n/a"`` where the value is not.
     """
     if not math.isfinite(value):
         return NOT_KNOWN
@@ -45,16 +34,8 @@ def round_to_error(value: float, error: float) -> str:
 def bracketed(value: float, error: float) -> str:
     """Round a value to its standard error and write the error in its last digits.
 
-    Parameters
-    ----------
-    value, error : float
-        The value and its standard error.
-
-    Returns
-    -------
-    str
-        E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``, ``"1.20(3)e-08"``; without an error
-        to speak of, the value alone.
+    E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``, ``"1.20(3)e-08"``; without an error to
+    speak of, the value alone.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error >= SMALLEST_ERROR):
         return significant(value)
@@ -67,13 +48,7 @@ def bracketed(value: float, error: float) -> str:
 
 
 def round_like(value: float, error: float) -> str:
-    """Round a value to the decimals of an uncertainty, without writing the uncertainty.
-
-    Parameters
-    ----------
-    value, error : float
-        The value and the standard error whose decimals it is given.
-    """
+    """Round a value to the decimals of its standard error, without writing that."""
     if not math.isfinite(value):
         return NOT_KNOWN
     if not (math.isfinite(error) and error >= SMALLEST_ERROR):
@@ -82,15 +57,7 @@ def round_like(value: float, error: float) -> str:
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """Round to significant digits, for a value whose error is not known.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    digits : int
-        Digits that are kept.
-    """
+    """Round to significant digits, for a value whose error is not known."""
     if not math.isfinite(value):
         return NOT_KNOWN
     text = f"{value:#.{digits}g}".rstrip(".")
@@ -98,13 +65,7 @@ def significant(value: float, digits: int = 4) -> str:
 
 
 def decimals_for(error: float) -> int:
-    """Return the decimals that an error is written with; negative for tens, hundreds, …
-
-    Parameters
-    ----------
-    error : float
-        A positive standard error.
-    """
+    """Return the decimals that an error is written with; negative for tens, hundreds, …"""
     exponent = math.floor(math.log10(error))
     leading = round(error / 10.0**exponent, 2)
     if leading >= 9.5:
@@ -138,15 +99,7 @@ LARGE_LOG_UNITS = 1e7
 
 
 def log_units(gain: float, not_known: str = NOT_KNOWN) -> str:
-    """Return a gain of the log-likelihood to the digits that say something.
-
-    Parameters
-    ----------
-    gain : float
-        In natural log-units.
-    not_known : str
-        What stands for no finite number.
-    """
+    """Return a gain of the log-likelihood, in natural units, to the digits that say something."""
     if not math.isfinite(gain):
         return not_known
     if abs(gain) >= LARGE_LOG_UNITS:

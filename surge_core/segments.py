@@ -12,19 +12,9 @@ from surge_core.types import FloatArray
 
 
 def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
-    """Return the rows of each segment: stretches of equal label, in order.
+    """Return the rows of each segment: stretches of equal label, in order; without labels, one.
 
-    Parameters
-    ----------
-    segments : array-like of int, shape (n_rows,), or None
-        Labels; rows of one label that do not follow each other are different segments.
-    n_rows : int
-        Rows of the data.
-
-    Raises
-    ------
-    InputError
-        When there is not one label a row.
+    Rows of one label that do not follow each other are different segments.
     """
     if segments is None:
         return [slice(0, n_rows)]

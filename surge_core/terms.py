@@ -11,18 +11,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def pretty_term(term: str) -> str:
-    """Write a term with φ, ψ' and raised exponents.
-
-    Parameters
-    ----------
-    term : str
-        Name of the term, e.g. ``psi_p phi^2``.
-
-    Returns
-    -------
-    str
-        E.g. ``ψ' φ²``.
-    """
+    """Write a term with φ, ψ' and raised exponents: ``psi_p phi^2`` as ``ψ' φ²``."""
     term = " ".join(term.split())
     for name, symbol in _GREEK.items():
         term = re.sub(rf"\b{name}\b", symbol, term)

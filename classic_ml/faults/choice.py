@@ -43,12 +43,8 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
 
     The record is calibrated and matched, with the marks of :func:`inspect_readings`. Of the
     channels that stay, thermocouples are bridged by straight lines where their readings do not
-    count, pressures where they have spikes.
-
-    Raises
-    ------
-    InputError
-        When an immersion of a plane, or the thermocouples of plane 25, would be left out whole.
+    count, pressures where they have spikes. A record is refused when an immersion of a plane, or
+    the thermocouples of plane 25, would be left out whole.
     """
     bad = _marked_out(record, test, window)
     slow = slow_pressures(record, test, window)

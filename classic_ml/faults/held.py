@@ -28,18 +28,7 @@ LATE_S = 0.15e-3
 
 
 def held_rows(values: FloatArray) -> int:
-    """Return how many rows each value of a channel stands for.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The channel, as read.
-
-    Returns
-    -------
-    int
-        1 for one that is not held or that moves too little to say.
-    """
+    """Return how many rows each value of a channel stands for: 1 where it moves too little."""
     changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     # Of a channel that is held hardly more than half of the rows bring a new value.
     if not FEWEST_VALUES < changes.size <= 0.55 * values.size:
@@ -57,13 +46,7 @@ def held_rows(values: FloatArray) -> int:
 
 
 def check_held(record: Record, test: TestDescription) -> None:
-    """Refuse a record of which some pressures are held and others not, or for another time.
-
-    Raises
-    ------
-    InputError
-        When one pressure is later than another by so much that τ would be wrong.
-    """
+    """Refuse a record in which held pressures are late against others, which makes τ wrong."""
     rows = {probe.name: held_rows(record[probe.name]) for probe in test.pressures}
     late, early = max(rows, key=rows.__getitem__), min(rows, key=rows.__getitem__)
     if rows[late] - rows[early] > 2.0 * LATE_S * record.sample_rate_hz:

@@ -45,13 +45,9 @@ def check_near_stall(
 ) -> LedgerEntry:
     """Check φ, and the flow of one plane against the other's, in the steady flow near stall.
 
-    The record is calibrated and matched; ``shifts`` is what the match has added to each channel.
-
-    Raises
-    ------
-    InputError
-        When the flow is not steady, W25 and W31 differ by more than a fifth, or no compressor has
-        such a φ.
+    The record is calibrated and matched; ``shifts`` is what the match has added to each channel. It
+    is refused when the flow is not steady, W25 and W31 differ by more than a fifth, or no
+    compressor has such a φ.
     """
     if test.near_stall_shifts:
         return LedgerEntry("near-stall flow", "not known: the reading is not in this record")
@@ -67,13 +63,12 @@ def check_near_stall(
     leaving = float(np.mean(physical_flow(steady["Wc31_kg_s"], steady["P31_Pa"], exit_K)))
     differ = abs(leaving / inlet - 1.0)
     if differ > FLOWS_REFUSED and not how:
-        raise _implausible(
-            steady,
-            test,
-            "flow",
-            f"W25 and W31 within {FLOWS_REFUSED:.0%} of each other",
-            f"{inlet:.4g} and {leaving:.4g} kg/s",
-            "area_m2 of [planes.25] and [planes.31], and the zero and calibrate readings",
+        raise InputError(
+            f"{steady.source}: flow near stall",
+            expected=f"W25 and W31 within {FLOWS_REFUSED:.0%} of each other",
+            found=f"{inlet:.4g} and {leaving:.4g} kg/s",
+            remedy="check area_m2 of [planes.25] and [planes.31], and the zero and calibrate "
+            f"readings in {test.source}",
         )
     if differ > FLOWS_DIFFER:
         findings.append(
@@ -85,9 +80,13 @@ def check_near_stall(
     phi = float(np.mean(flow_coefficient(*columns, area_m2, speed_m_s, test.compressor)))
     if not NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
         # The area is not among the causes: it cancels between Eq 3 and its inverse.
-        causes = "rotor_speed_rpm, mean_radius_m, and the zero and calibrate readings"
-        expected = "{:g} to {:g}".format(*NEAR_STALL_PHI)
-        raise _implausible(steady, test, "φ", expected, f"{phi:.3g}", causes)
+        raise InputError(
+            f"{steady.source}: φ near stall",
+            expected="{:g} to {:g}".format(*NEAR_STALL_PHI),
+            found=f"{phi:.3g}",
+            remedy="check rotor_speed_rpm, mean_radius_m, and the zero and calibrate readings in "
+            f"{test.source}",
+        )
     return LedgerEntry(
         "near-stall flow",
         f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
@@ -136,15 +135,3 @@ def _check_steady(steady: Record, test: TestDescription) -> None:
                 found=f"{probe.name} {move:+.0%} in its last fifth",
                 remedy="let it end before the surge begins",
             )
-
-
-def _implausible(
-    steady: Record, test: TestDescription, what: str, expected: str, found: str, causes: str
-) -> InputError:
-    """Return the refusal of a flow near stall that no compressor has."""
-    return InputError(
-        f"{steady.source}: {what} near stall",
-        expected=expected,
-        found=found,
-        remedy=f"check {causes} in {test.source}",
-    )

@@ -7,20 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.calibration import probe_pressure_Pa
-from classic_ml.description import (
-    PressureChannel,
-    TemperatureChannel,
-    TestDescription,
-)
-from classic_ml.faults.findings import (
-    BEYOND_LIMITS,
-    CLIPPED,
-    MARK_WORDS,
-    SPIKED,
-    STUCK,
-    alike,
-)
+from classic_ml.calibration import total_reading
+from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
+from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, MARK_WORDS, SPIKED, STUCK, alike
 from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.spikes import spike_rows
@@ -52,12 +41,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
     Returned is the record with a channel ``fault_NAME`` for every channel that has a fault: the sum
     of 1 (clipped at an end of the converter, or of the range that the channel itself shows), 4
     (beyond its limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
-    behind).
-
-    Raises
-    ------
-    InputError
-        When some pressures were recorded at a lower rate than others.
+    behind). Pressures of which some were recorded at a lower rate than others are refused.
     """
     marks: dict[str, Marks] = {}
     for channel in test.channels:
@@ -97,12 +81,10 @@ def _marked(record: Record, name: str, mark: Marks) -> list[str]:
     return found
 
 
-def _cut_off(
-    values: FloatArray, channel: PressureChannel | TemperatureChannel, test: TestDescription
-) -> Marks:
+def _cut_off(values: FloatArray, channel: AnyChannel, test: TestDescription) -> Marks:
     """Mark readings at the ends of a range and beyond the limits, which are believed."""
     cut_off = np.zeros(values.size, dtype=np.bool_)
-    if channel.record_unit == "count":
+    if isinstance(channel, CountChannel):
         cut_off |= (values <= 0) | (values >= test.adc.top_code)
     if channel.name not in test.limits:
         for end in range_ends(values):
@@ -112,7 +94,7 @@ def _cut_off(
         low, high = test.limits[channel.name]
         physical = values
         if isinstance(channel, PressureChannel):
-            physical = probe_pressure_Pa(channel, test, values)
+            physical = total_reading(channel, test, values)
         # A reading at the limit is one that the acquisition has cut off there.
         mark[(physical <= low) | (physical >= high)] += BEYOND_LIMITS
     return mark
@@ -134,7 +116,9 @@ def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:
     long = runs[:, 1] - runs[:, 0] >= max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
     candidates = np.flatnonzero(long & ~stuck)
     others = [record[n] for n in alike if n != name] if candidates.size else []
-    moves = [MOVED_STEPS * _least_step(other) for other in others]
+    # The least change from row to row that is one is the resolution of a channel.
+    sizes = [np.abs(np.diff(other)) for other in others]
+    moves = [MOVED_STEPS * np.min(size[size > 0.0], initial=np.inf) for size in sizes]
     for run in candidates:
         rows = slice(*runs[run].tolist())
         moved = sum(np.ptp(v[rows]) > least for v, least in zip(others, moves, strict=True))
@@ -143,16 +127,10 @@ def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:
     return np.asarray(runs[stuck])
 
 
-def _least_step(values: FloatArray) -> float:
-    """Return the least change from row to row that is one: the resolution of a channel."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps[steps > 0.0], initial=np.inf))
-
-
 def _spikes(record: Record, test: TestDescription, names: Sequence[str]) -> dict[str, IntArray]:
     ranges = {name: float(np.ptp(record[name])) for name in names}
     for probe in test.pressures:
-        if probe.name in ranges and probe.record_unit == "count":
+        if probe.name in ranges and isinstance(probe, CountChannel):
             ranges[probe.name] = float(test.adc.top_code)
     for couple in test.temperatures:
         if couple.name in ranges:

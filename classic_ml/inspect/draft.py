@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ def draft_test_toml(
     clock = inspection.clock
     channels = [c for c in inspection.channels if clock is None or c.name != clock.name]
     assumed = {kind_of_unit(unit): unit for unit in units}
-    channels = [_with_unit(channel, assumed) for channel in channels]
+    channels = [replace(c, unit=assumed.get(_kind_by_name(c), c.unit)) for c in channels]
     models = {channel.name: _model(channel) for channel in channels}
     others = [channel for channel in channels if models[channel.name] is None]
     known = [f"name = {_text(Path(inspection.source).stem)}"]
@@ -93,11 +93,8 @@ def draft_test_toml(
         tables.append(_table("adc", Converter))
     taken: set[str] = set()
     shared: dict[str, str] = {}
-    described = []
-    for channel in channels:
-        model = models[channel.name]
-        if model is not None:
-            described.append(_channel(channel, model, taken, shared))
+    kept = [(channel, model) for channel in channels if (model := models[channel.name])]
+    described = [_channel(channel, model, taken, shared) for channel, model in kept]
     tables += [*shared.values(), *described]
     if others:
         tables.append(
@@ -108,10 +105,7 @@ def draft_test_toml(
 
 
 def _table(
-    path: str,
-    model: type[Table],
-    known: Sequence[str] = (),
-    keys: Collection[str] | None = None,
+    path: str, model: type[Table], known: Sequence[str] = (), keys: Collection[str] | None = None
 ) -> str:
     """Return a table of TOML: what is known, then in comments the keys that it must have beside."""
     lines = [f"[{path}]", *known]
@@ -138,10 +132,9 @@ def _layout(clock: ClockFacts | None, group: str | None, has_others: bool) -> It
 
 def _model(channel: ChannelFacts) -> type[Table] | None:
     """Return what a column is by its unit, or without one by its name; None where neither says."""
-    kind, named = kind_of_unit(channel.unit), _NAMED.match(channel.name)
-    if not channel.unit and named is not None:
-        kind = _KINDS[named["letter"].lower()]
-        kind = COUNT if kind == "pressure" and channel.whole_numbers else kind
+    named = _kind_by_name(channel)
+    in_counts = named == "pressure" and channel.whole_numbers
+    kind = COUNT if in_counts else named or kind_of_unit(channel.unit)
     models: dict[str, type[Table]] = {
         COUNT: CountChannel,
         "pressure": PressureChannel,
@@ -150,12 +143,10 @@ def _model(channel: ChannelFacts) -> type[Table] | None:
     return models.get(kind)
 
 
-def _with_unit(channel: ChannelFacts, assumed: Mapping[str, str]) -> ChannelFacts:
-    """Return a channel with the unit that is assumed for its kind, where the file states none."""
+def _kind_by_name(channel: ChannelFacts) -> str:
+    """Return the kind of a column without a unit as its name has it; else nothing."""
     named = _NAMED.match(channel.name)
-    if channel.unit or named is None:
-        return channel
-    return replace(channel, unit=assumed.get(_KINDS[named["letter"].lower()], ""))
+    return "" if channel.unit or named is None else _KINDS[named["letter"].lower()]
 
 
 def _place(name: str) -> tuple[dict[str, Any], str]:

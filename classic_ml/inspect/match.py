@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.calibration import probe_pressure_Pa
-from classic_ml.description import AnyChannel, PressureChannel, TestDescription
+from classic_ml.calibration import total_reading
+from classic_ml.description import AnyChannel, TestDescription
 from classic_ml.inspect.facts import Inspection
 from classic_ml.io.raw import MOST_VALUES, read_raw
 from classic_ml.records import LedgerEntry
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -111,13 +110,6 @@ def _match(channel: AnyChannel, test: TestDescription, inspection: Inspection) -
     if facts is not None:
         # Every conversion is a straight line.
         ends = channel.conversion.to_si(np.array([facts.minimum, facts.maximum]))
-        low, high = sorted(_total(channel, ends, test).tolist())
-    si_unit = "Pa" if isinstance(channel, PressureChannel) else "K"
+        low, high = sorted(total_reading(channel, test, ends).tolist())
+    si_unit = channel.si_unit
     return ChannelMatch(channel.name, channel.file_column, channel.unit, si_unit, low, high)
-
-
-def _total(channel: AnyChannel, values: FloatArray, test: TestDescription) -> FloatArray:
-    """Return readings of a channel as total pressures or temperatures."""
-    if isinstance(channel, PressureChannel):
-        return probe_pressure_Pa(channel, test, values)
-    return values / channel.recovery_factor

@@ -31,25 +31,10 @@ _FORMATS = {
 def open_stored(
     raw_path: str | os.PathLike[str], layout: FileLayout | None = None
 ) -> Iterator[StoredTable]:
-    """Open a raw record as it is: columns, names and units of the file.
+    """Open a raw record, by the suffix of its name, as it is.
 
-    Parameters
-    ----------
-    raw_path : str or path
-        A file whose suffix names its format.
-    layout : FileLayout, optional
-        Where in the file the channels are, and which of its columns is the clock.
-
-    Returns
-    -------
-    StoredTable
-        Every column of numbers of the record's length; open within the ``with`` alone.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, the suffix is unknown, the file is another format's or damaged,
-        or the package that reads it is missing.
+    Given are the columns of numbers of the record's length, as the layout says where in the file
+    they are and which is the clock; the table is open within the ``with`` alone.
     """
     file = Path(raw_path)
     if not file.is_file():

@@ -77,7 +77,15 @@ def read_raw(
             window = test.window_s
             read = _read(stored, test, window, progress)
     if read is None:
-        raise _too_long(stored, test)
+        columns = len(test.channel_names) + 1
+        raise InputError(
+            stored.source,
+            expected=f"at most {MOST_VALUES // columns} rows of {columns} columns at once",
+            found="more",
+            remedy=f"`sindy-surge inspect` finds where it surges: name that as [window] in "
+            f"{test.source} or with --from-s and --to-s, and where the near-stall reading is far "
+            "before it, its [near_stall_shifts]",
+        )
     return _record(stored, test, read, window), test
 
 
@@ -99,40 +107,30 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     if layout.clock == "column":
         titles = {layout.time: f"column {layout.time}", **titles}
     missing = [column for column in titles if column not in stored.names]
-    clock = [layout.time] if layout.clock == "from rate" else []
-    extra = [name for name in stored.names if name not in {*titles, *clock}]
+    spare = [name for name in stored.names if name not in {*titles, layout.time}]
     if missing:
-        raise _missing(stored, test, titles[missing[0]], missing, extra)
-    if extra and layout.other_columns == "refuse":
+        nor = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
+        found = f"no such column{nor}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
+        aside = {n.split("/")[-1]: f"'{n}': {why}" for n, why in stored.left_aside.items()}
+        remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
+        if titles[missing[0]].startswith("column"):
+            remedy = 'name it in [file], time = "...", or write clock = "from rate"'
         raise InputError(
-            f"{stored.source}: column {extra[0]}",
-            expected=f'a table [channels."{extra[0]}"] in {test.source}',
-            found="none" + (f" (nor for {', '.join(extra[1:])[:200]})" if extra[1:] else ""),
+            f"{stored.source}: {titles[missing[0]]}",
+            expected=f"it in the header of the table, as {test.source} describes it",
+            found=aside.get(missing[0], found),
+            remedy=remedy,
+        )
+    if spare and layout.other_columns == "refuse":
+        raise InputError(
+            f"{stored.source}: column {spare[0]}",
+            expected=f'a table [channels."{spare[0]}"] in {test.source}',
+            found="none" + (f" (nor for {', '.join(spare[1:])[:200]})" if spare[1:] else ""),
             remedy="describe the channel, leave the column out, or write "
             'other_columns = "ignore" in [file]',
         )
     if layout.units == "check":
         _check_units(stored, test, titles)
-
-
-def _missing(
-    stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
-) -> InputError:
-    """Return the refusal of a table that lacks columns, with what the file has instead."""
-    left_aside = {
-        name.split("/")[-1]: f"'{name}': {why}" for name, why in stored.left_aside.items()
-    }
-    others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
-    found = f"no such column{others}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
-    remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
-    if title.startswith("column"):
-        remedy = 'name it in [file], time = "...", or write clock = "from rate"'
-    return InputError(
-        f"{stored.source}: {title}",
-        expected=f"it in the header of the table, as {test.source} describes it",
-        found=left_aside.get(missing[0], found),
-        remedy=remedy,
-    )
 
 
 def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, str]) -> None:
@@ -143,8 +141,7 @@ def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, s
     }
     units.setdefault(test.file.time, (_clock_unit(stored, test), None))
     for column, title in titles.items():
-        unit, reference_Pa = units[column]
-        stated = stored.units.get(column, "")
+        stated, (unit, reference_Pa) = stored.units.get(column, ""), units[column]
         if not same_unit(stated, unit, reference_Pa):
             raise InputError(
                 f"{stored.source}: {title}",
@@ -197,10 +194,8 @@ def _read(
             expected=f"at least {MINIMUM_ROWS} rows" + (f" {_asked(window)}" if window else ""),
             found=f"{sum(map(len, times))}",
         )
-    joined = {
-        name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
-    }
-    return joined, np.concatenate(times), rows_before
+    columns = map(np.concatenate, zip(*kept, strict=True))
+    return dict(zip(names, columns, strict=True)), np.concatenate(times), rows_before
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
@@ -217,18 +212,6 @@ def _asked(window: Window) -> str:
     from_s, to_s = window
     start = "the start" if from_s == -np.inf else f"{from_s:g} s"
     return f"from {start} to the end" if to_s == np.inf else f"from {start} to {to_s:g} s"
-
-
-def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
-    channels = len(test.channel_names) + 1
-    return InputError(
-        stored.source,
-        expected=f"at most {MOST_VALUES // channels} rows of {channels} columns at once",
-        found="more",
-        remedy=f"`sindy-surge inspect` finds where it surges: name that as [window] in "
-        f"{test.source} or with --from-s and --to-s, and where the near-stall reading is far "
-        "before it, its [near_stall_shifts]",
-    )
 
 
 def _record(

@@ -10,22 +10,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from classic_ml.description import FileLayout
 from classic_ml.io.csv import open_csv
 from classic_ml.io.netcdf import check_items
 from classic_ml.io.table import fault_of
-from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.series import (
-    COLUMNS,
-    COUNT_COLUMNS,
-    LONG_NAMES,
-    RAKE_COLUMN,
-    REQUIRED_COLUMNS,
-    TRUTH_COLUMNS,
-    UNITS,
-    CoefficientSeries,
-)
+from classic_ml.records import LedgerEntry
+from classic_ml.series import COLUMNS, KNOWN, RAKE_COLUMN, REQUIRED_COLUMNS, CoefficientSeries
 from surge_core.errors import InputError
 from surge_core.files import replace_whole
 from surge_core.types import FloatArray
@@ -42,6 +34,7 @@ _ABOUT = {
 }
 _Columns = dict[str, NDArray[Any]]
 _History = tuple[LedgerEntry, ...]
+_LEDGER = TypeAdapter(_History)
 
 
 def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
@@ -162,12 +155,12 @@ def _read_csv(file: Path) -> tuple[_Columns, _History]:
     if not ledger.is_file():
         return columns, ()
     try:
-        return columns, _ledger_from_json(ledger.read_text("utf-8"))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        return columns, _LEDGER.validate_json(ledger.read_bytes())
+    except ValueError as error:
         raise InputError(
             str(ledger),
             expected="the ledger that `sindy-surge reduce` wrote",
-            found=f"something else ({error})",
+            found=f"something else ({' '.join(str(error).split())[:160]})",
             remedy="delete it or reduce the record again",
         ) from None
 
@@ -183,8 +176,8 @@ def _read_netcdf(file: Path) -> tuple[_Columns, _History]:
         columns = {name: dataset[name].values for name in names}
         text = str(dataset.attrs.get("history", "[]"))
     try:
-        return columns, _ledger_from_json(text)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return columns, _LEDGER.validate_json(text)
+    except ValueError:
         # Other programs write free text into this conventional attribute.
         return columns, (LedgerEntry("read", f"history attribute of {file.name}: {text}"),)
 
@@ -195,7 +188,7 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
 
     columns = series.columns()
     table = pa.table(
-        {n: v.astype(np.int64) if n in TRUTH_COLUMNS else v for n, v in columns.items()}
+        {n: v.astype(np.int64) if v.dtype == np.bool_ else v for n, v in columns.items()}
     )
     # The shortest digits that read back as the same number. The header is written by hand, since
     # pyarrow puts it into quotes.
@@ -205,22 +198,21 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
 
 
 def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
-    import xarray as xr
+    import h5netcdf
 
     # Truths and counts are small: a series of hours is large.
-    kinds = dict.fromkeys(TRUTH_COLUMNS, np.int8) | dict.fromkeys(COUNT_COLUMNS, np.int32)
-    variables = {
-        name: (
-            "time_s",
-            values.astype(kinds.get(name, values.dtype)),
-            {"units": UNITS[name], "long_name": LONG_NAMES[name]} if name in UNITS else {},
-        )
-        for name, values in series.columns().items()
-    }
-    about = {**_ABOUT, "history": _ledger_json(series.history), "source": series.source}
-    encoding = {name: {"_FillValue": None} for name in variables}
+    small = {np.bool_: np.int8, np.int64: np.int32}
+    origin = {"history": _ledger_json(series.history), "source": series.source}
     try:
-        xr.Dataset(variables, attrs=about).to_netcdf(file, engine="h5netcdf", encoding=encoding)
+        with h5netcdf.File(file, "w") as opened:
+            opened.attrs.update(_ABOUT | origin)
+            opened.dimensions["time_s"] = series.n_samples
+            for name, values in series.columns().items():
+                data = values.astype(small.get(values.dtype.type, values.dtype), copy=False)
+                column = opened.create_variable(name, ("time_s",), data.dtype, data)
+                if name in KNOWN:
+                    about = {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name}
+                    column.attrs.update(about)
     except RuntimeError as error:
         # HDF5 says in its own words that a disk is full, perhaps not before it closes the file.
         raise OSError(str(error)) from error
@@ -228,16 +220,3 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
 
 def _ledger_json(history: _History) -> str:
     return json.dumps([asdict(entry) for entry in history], indent=1, ensure_ascii=False)
-
-
-def _ledger_from_json(text: str) -> _History:
-    return tuple(
-        LedgerEntry(
-            step=str(entry["step"]),
-            did=str(entry["did"]),
-            parameters=dict(entry["parameters"]),
-            dropped=tuple(Dropped(**drop) for drop in entry["dropped"]),
-            flags=tuple(str(flag) for flag in entry["flags"]),
-        )
-        for entry in json.loads(text)
-    )

@@ -26,19 +26,10 @@ Columns = tuple[NDArray[Any], ...]
 class StoredTable:
     """A raw record on disk.
 
-    Parameters
-    ----------
-    source : str
-        The file.
-    names : tuple of str
-        Column names as the file has them, that of the clock among them.
-    read : callable
-        ``read(names)`` yields some of the columns in file order, from the first row on: a tuple of
-        one array of numbers a column.
-    units : mapping of str to str
-        Units that the file itself states, by column.
-    left_aside : mapping of str to str
-        What else is in the file, and why it is no column of numbers: text, another length.
+    ``names`` are those of its columns, that of the clock among them; ``read(names)`` yields some of
+    them block by block from the first row on, a tuple of one array a column. ``units`` are what the
+    file itself states by column, ``left_aside`` what else is in it, and why that is no column of
+    numbers: text, another length.
     """
 
     source: str
@@ -58,41 +49,21 @@ class StoredTable:
                 )
 
     def blocks(self, names: tuple[str, ...]) -> Iterator[Columns]:
-        """Yield columns of the file block by block.
-
-        Parameters
-        ----------
-        names : tuple of str
-            Which.
-
-        Raises
-        ------
-        InputError
-            Where the file cannot be read further.
-        """
+        """Yield columns of the file block by block, whole numbers as they are, else as float64."""
         try:
             for block in self.read(names):
-                yield tuple(map(_numbers, block))
+                yield tuple(
+                    v if v.dtype.kind in "iu" and v.dtype.isnative else v.astype(float, copy=False)
+                    for v in block
+                )
         except Exception as error:
             raise fault_of(error, self.source, "rows that can be read") from None
-
-
-def _numbers(values: NDArray[Any]) -> NDArray[Any]:
-    whole = values.dtype.kind in "iu" and values.dtype.isnative
-    return values if whole else values.astype(np.float64, copy=False)
 
 
 def fault_of(error: Exception, source: str, what: str) -> Exception:
     """Return the refusal of a file over which the library that reads such files stumbles.
 
-    Parameters
-    ----------
-    error : Exception
-        What the library raised; an InputError says already what is wrong.
-    source : str
-        The file.
-    what : str
-        What it should be.
+    An InputError says already what is wrong; ``what`` is what the file should be.
     """
     if isinstance(error, InputError | MemoryError):
         return error
@@ -107,16 +78,9 @@ def fault_of(error: Exception, source: str, what: str) -> Exception:
 
 @dataclass(frozen=True)
 class Vector:
-    """A vector of numbers in a file with groups.
+    """A vector of numbers in a file: its groups and its name, and the unit that the file states.
 
-    Parameters
-    ----------
-    path : tuple of str
-        Its groups and its name.
-    values : array-like
-        What gives some of them when it is sliced, and has a length.
-    unit : str
-        Unit that the file states; empty without.
+    The values have a length, and give some of them when they are sliced.
     """
 
     path: tuple[str, ...]
@@ -145,29 +109,13 @@ def along(array: Any) -> Any:
 
 
 def grouped(
-    source: str,
-    vectors: Sequence[Vector],
-    layout: FileLayout,
-    left_aside: Mapping[str, str],
+    source: str, vectors: Sequence[Vector], layout: FileLayout, left_aside: Mapping[str, str]
 ) -> StoredTable:
-    """Return the vectors of one length in one group as the columns of a record.
+    """Return the vectors of one length in one group of a file as the columns of a record.
 
-    Parameters
-    ----------
-    source : str
-        The file.
-    vectors : sequence of Vector
-        All that it holds.
-    layout : FileLayout
-        The group to take, and the name of the clock: its length is that of the record; without it
-        the length that most vectors share.
-    left_aside : mapping of str to str
-        What else it holds, and why that is no vector.
-
-    Raises
-    ------
-    InputError
-        When the group is not there, holds nothing, or several hold channels and none is named.
+    The layout names the group, and the clock, whose length is that of the record; without a clock
+    it is the length that most vectors share. Refused is a group that is not there or holds nothing,
+    and a file of which several hold channels where none is named.
     """
     wanted = (layout.group or "").strip("/")
     named = (v.path[:k] for v in vectors for k in range(len(v.path)))

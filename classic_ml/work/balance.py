@@ -35,20 +35,8 @@ LARGEST_SHARE = 0.2
 def flat_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> FloatArray:
     """Average over one period twice such that slow signals keep their curvature.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Uniformly sampled signal.
-    period_s : float
-        One stall-cell period.
-    sample_rate_hz : float
-        Samples a second.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        2A − A² of the signal, A the centred average over the period (Tukey's twicing): the nulls
-        of A at 1/period and its harmonics, but an error of fourth and not second order at rest.
+    2A − A² of the signal, A the centred average over the period (Tukey's twicing): the nulls of A
+    at 1/period and its harmonics, but an error of fourth and not second order at rest.
     """
     once = period_average(values, period_s, sample_rate_hz)
     return np.asarray(2.0 * once - period_average(once, period_s, sample_rate_hz))
@@ -57,21 +45,10 @@ def flat_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> 
 def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
     """Return W25 as plane 31 shows it, by the mass balance of what lies between.
 
-    The measured planes agree with this form: on the 90 % record W25 − W31 goes with dP31/dt by
-    0.5 to 0.7 of V_c/(R T̄), and with the inertia term of Eq 5 not at all (−0.2 where 0.5 would
-    mean that the blading's own pressure stores the gas).
-
-    Parameters
-    ----------
-    record : Record
-        Plane averages, with T31.
-    test : TestDescription
-        For V_c, R and the sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        W31 + κ V_c/(R T̄) dP31/dt, κ = ``EXIT_WEIGHT``, T̄ the mean of T25 and T31.
+    W31 + κ V_c/(R T̄) dP31/dt, κ = ``EXIT_WEIGHT``, T̄ the mean of T25 and T31. The measured planes
+    agree with this form: on the 90 % record W25 − W31 goes with dP31/dt by 0.5 to 0.7 of
+    V_c/(R T̄), and with the inertia term of Eq 5 not at all (−0.2 where 0.5 would mean that the
+    blading's own pressure stores the gas).
     """
     machine = test.compressor
     mean_K = 0.5 * (record["T25_K"] + record["T31_K"])
@@ -81,19 +58,7 @@ def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
 
 
 def impossible_rows(record: Record, test: TestDescription) -> BoolArray:
-    """Return the rows in which plane 31 shows more flow than the area of plane 25 passes.
-
-    Parameters
-    ----------
-    record : Record
-        Plane averages, with T31.
-    test : TestDescription
-        For the area of plane 25 and the machine.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
+    """Return the rows in which plane 31 shows more flow than the area of plane 25 passes."""
     flow = exit_flow_at_inlet(record, test)
     corrected = corrected_from_physical(flow, record["P25_Pa"], record["T25_K"])
     return np.asarray(np.abs(corrected) > choked_flow(test.areas_m2[25], test.compressor))
@@ -102,17 +67,7 @@ def impossible_rows(record: Record, test: TestDescription) -> BoolArray:
 def credit_of_storage(phi: FloatArray, mixing_phi: float = MIXING_PHI) -> FloatArray:
     """Return how far T31 is that of the gas that leaves: φ⁴/(φ⁴ + φ₀⁴), 0 in reversed flow.
 
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    mixing_phi : float
-        φ₀; with 0, T31 counts in all forward flow.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Between 0 and 1.
+    With a φ₀ (``mixing_phi``) of 0, T31 counts in all forward flow.
     """
     forward = phi > 0.0
     power = np.where(forward, phi, 1.0) ** 4

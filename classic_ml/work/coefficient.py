@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -127,6 +128,27 @@ class _Setup:
     impossible: BoolArray
     stores: bool = True
 
+    @cached_property
+    def readings(self) -> tuple[FloatArray, FloatArray]:
+        """What each plane says of W25, bridged where that is impossible."""
+        other = exit_flow_at_inlet(self.record, self.test)
+        return self.record["W25_kg_s"], bridged(other, ~self.impossible)
+
+    @property
+    def flow(self) -> FloatArray:
+        """The mean of what the two planes say of W25."""
+        return np.asarray(0.5 * sum(self.readings))
+
+    def phi(self, flow: FloatArray) -> FloatArray:
+        """Return φ of a flow, the ripple of the cells taken out of everything it is made of."""
+        inlet_K, inlet_Pa = self.flat(self.record["T25_K"]), self.flat(self.record["P25_Pa"])
+        corrected = corrected_from_physical(self.flat(flow), inlet_Pa, inlet_K)
+        machine, area_m2 = self.test.compressor, self.test.areas_m2[25]
+        # Outside of the cycles, where probes may be clipped, the average may be more than passes.
+        limit = choked_flow(area_m2, machine)
+        corrected = np.clip(corrected, -limit, limit)
+        return flow_coefficient(corrected, inlet_K, area_m2, self.test.rotor_velocity_m_s, machine)
+
     def average(self, values: FloatArray) -> FloatArray:
         """Average over exactly one period, each column alike."""
         rate = self.record.sample_rate_hz
@@ -222,7 +244,7 @@ def fit_work_characteristic(
     cycles = np.unique(setup.cycle[setup.scored])
     n_terms = len(breakpoints) + 2
     if cycles.size < FEWEST_CYCLES or np.count_nonzero(setup.scored) < 10 * n_terms:
-        return _withheld(setup, int(cycles.size), math.nan, FitState.TOO_FEW_CYCLES)
+        return _answer(setup, int(cycles.size), math.nan, FitState.TOO_FEW_CYCLES)
     given = time_constant_s is not None
     cycle_s = (setup.rows.stop - setup.rows.start) * record.sample_period_s / cycles.size
     if time_constant_s is not None and time_constant_s > cycle_s:
@@ -232,51 +254,35 @@ def fit_work_characteristic(
             found=f"{time_constant_s:g} s",
         )
     plain = replace(setup, stores=False)
-    setup = min(setup, plain, key=lambda one: _fit(one, _flow(one), time_constant_s).cost)
+    setup = min(setup, plain, key=lambda one: _fit(one, one.flow, time_constant_s).cost)
     fits = _fits(setup, time_constant_s)
-    std = float(np.sqrt(np.mean(fits[0].residual ** 2)) / np.mean(_flow(setup)[setup.scored]))
-    blank = _withheld(setup, int(cycles.size), std, fits[0].at_bound)
-    if blank.fit_state is not FitState.CONVERGED:
-        return blank
+    std = float(np.sqrt(np.mean(fits[0].residual ** 2)) / np.mean(setup.flow[setup.scored]))
+    if fits[0].at_bound is not FitState.CONVERGED:
+        return _answer(setup, int(cycles.size), std, fits[0].at_bound)
     theta = _corrected(*(fit.theta for fit in fits))[: 1 + n_terms]
-    late = replace(setup, record=_delayed(record, record.sample_period_s))
+    late = replace(setup, record=_a_sample_late(record))
     misaligned = _corrected(*(fit.theta for fit in _fits(late, time_constant_s)))
     blocks = [np.flatnonzero(setup.cycle[setup.scored] == number) for number in cycles]
     moves = [leave_out(-fit.jacobian, fit.residual, blocks).moves.T for fit in fits]
-    errors = (
-        0.5 * (fits[1].theta - fits[2].theta)[: theta.size],
-        misaligned[: theta.size] - theta,
-    )
+    planes = 0.5 * (fits[1].theta - fits[2].theta)
+    errors = planes[: theta.size], misaligned[: theta.size] - theta
     covariance = scatter(_corrected(*moves)[: theta.size].T)
     covariance += sum(np.outer(error, error) for error in errors)
     log_error = float(np.sqrt(covariance[0, 0]))
     if not given and theta[0] - 2.0 * log_error < np.log(SEARCHED_TAU_S[0]):
         wide = log_error > UNDETERMINED
         state = FitState.LAG_UNDETERMINED if wide else FitState.AT_LOWER_BOUND
-        return replace(blank, fit_state=state)
-    tau_s = float(np.exp(theta[0]))
-    low, high = np.percentile(_phi(setup, _flow(setup))[setup.scored], (5.0, 95.0))
-    return replace(
-        blank,
-        time_constant_s=tau_s,
-        time_constant_stderr_s=0.0 if given else tau_s * log_error,
-        coef=theta[1:],
-        covariance=covariance[1:, 1:],
-        valid_phi=(float(low), float(high)),
-        entry=_entry(setup, cycles.size, tau_s, std, given=given),
-    )
+        return _answer(setup, int(cycles.size), std, state)
+    # A τ that was given has no error.
+    covariance[0, 0] *= not given
+    return _answer(setup, int(cycles.size), std, FitState.CONVERGED, theta, covariance, given=given)
 
 
-def _delayed(record: Record, delay_s: float) -> Record:
-    time_s = record.time_s
-    late = [
-        Channel(name, np.interp(time_s - delay_s, time_s, record[name]), "K")
-        for name in ("T25_K", "T31_K")
-    ]
-    entry = LedgerEntry(
-        "align", "temperatures delayed as the pressures are", {"pressure_delay_s": delay_s}
-    )
-    return record.after(entry, add=late)
+def _a_sample_late(record: Record) -> Record:
+    """Return a record with its temperatures a sample later, as the pressures may be."""
+    before = np.maximum(np.arange(record.n_samples) - 1, 0)
+    late = [Channel(name, record[name][before], "K") for name in ("T25_K", "T31_K")]
+    return record.after(LedgerEntry("align", "temperatures a sample later"), add=late)
 
 
 def _setup(
@@ -314,53 +320,29 @@ def _setup(
     )
     if np.count_nonzero(onsets[rows]) < FEWEST_CYCLES:
         # A machine that stays in stall: its cycles are those of the flow.
-        phi = _phi(setup, _flow(setup))
+        phi = setup.phi(setup.flow)
         rising = np.diff((phi > np.median(phi[rows])).astype(np.int64), prepend=1) > 0
         setup = replace(setup, cycle=np.cumsum(rising).astype(np.int64))
     # One period to each side of a switch: what the average mixes, and the stall state is late by.
     margin = round(setup.period_s * record.sample_rate_hz)
     switches = np.append(stalled[1:] != stalled[:-1], False)
     scored = stalled & ~near(switches, margin - 1, margin) & ~impossible
-    scored &= _phi(setup, _flow(setup)) > SCORED_PHI
+    scored &= setup.phi(setup.flow) > SCORED_PHI
     # The average must not reach beyond the simulated rows either.
     scored[: rows.start + margin] = False
     scored[rows.stop - margin :] = False
     return replace(setup, scored=scored)
 
 
-def _readings(setup: _Setup) -> tuple[FloatArray, FloatArray]:
-    """Return what each plane says of W25, bridged where that is impossible."""
-    other = exit_flow_at_inlet(setup.record, setup.test)
-    return setup.record["W25_kg_s"], bridged(other, ~setup.impossible)
-
-
-def _flow(setup: _Setup) -> FloatArray:
-    """Return the mean of what the two planes say of W25."""
-    return np.asarray(0.5 * sum(_readings(setup)))
-
-
 def _fits(setup: _Setup, time_constant_s: float | None) -> list[_Fit]:
     """Return the fits with the mean of both readings of the flow, and with each alone."""
-    return [_fit(setup, flow, time_constant_s) for flow in (_flow(setup), *_readings(setup))]
+    return [_fit(setup, flow, time_constant_s) for flow in (setup.flow, *setup.readings)]
 
 
 def _corrected(mean: FloatArray, inlet: FloatArray, other: FloatArray) -> FloatArray:
     """Return log τ of the mean flow, and β extrapolated to no error of the flow."""
     beta = 2.0 * mean - 0.5 * (inlet + other)
     return np.concatenate([mean[:1], beta[1:]])
-
-
-def _phi(setup: _Setup, flow: FloatArray) -> FloatArray:
-    """Return φ of a flow, the ripple of the cells taken out of everything it is made of."""
-    record, test = setup.record, setup.test
-    inlet_K = setup.flat(record["T25_K"])
-    corrected = corrected_from_physical(setup.flat(flow), setup.flat(record["P25_Pa"]), inlet_K)
-    # Outside of the cycles, where probes may be clipped, the average may be more than passes.
-    limit = choked_flow(test.areas_m2[25], test.compressor)
-    corrected = np.clip(corrected, -limit, limit)
-    return flow_coefficient(
-        corrected, inlet_K, test.areas_m2[25], test.rotor_velocity_m_s, test.compressor
-    )
 
 
 def _terms(phi: FloatArray, breakpoints: tuple[float, ...]) -> tuple[FloatArray, tuple[str, ...]]:
@@ -373,7 +355,7 @@ def _fit(setup: _Setup, flow: FloatArray, time_constant_s: float | None) -> _Fit
     """Fit with one reading of the flow: scan and refine log τ, all else is linear."""
     from scipy.optimize import minimize_scalar
 
-    phi = _phi(setup, flow)
+    phi = setup.phi(flow)
     power = delivered_power(
         setup.record,
         setup.test,
@@ -430,33 +412,29 @@ def _responses(setup: _Setup, inputs: FloatArray, flow: FloatArray, log_tau: flo
     return setup.average(powers)[setup.scored]
 
 
-def _withheld(setup: _Setup, n_cycles: int, std: float, state: FitState) -> WorkCharacteristic:
-    """Answer a record that does not hold τ by a code, not by numbers."""
-    nan, n_terms = math.nan, len(setup.breakpoints) + 2
-    return WorkCharacteristic(
-        nan,
-        nan,
-        _terms(np.zeros(2), setup.breakpoints)[1],
-        np.full(n_terms, nan),
-        np.full((n_terms, n_terms), nan),
-        setup.breakpoints,
-        (nan, nan),
-        int(np.count_nonzero(setup.scored)),
-        n_cycles,
-        std,
-        state,
-        _entry(setup, n_cycles, nan, std, given=False),
-    )
-
-
-def _entry(
-    setup: _Setup, n_cycles: int, tau_s: float, scatter: float, *, given: bool
-) -> LedgerEntry:
-    scored = int(np.count_nonzero(setup.scored))
+def _answer(
+    setup: _Setup,
+    n_cycles: int,
+    std: float,
+    state: FitState,
+    theta: FloatArray | None = None,
+    covariance: FloatArray | None = None,
+    *,
+    given: bool = False,
+) -> WorkCharacteristic:
+    """Return what was found; without θ a code is the answer to a record that does not hold τ."""
+    names = _terms(np.zeros(2), setup.breakpoints)[1]
+    low = high = math.nan
+    if theta is None or covariance is None:
+        theta = np.full(1 + len(names), math.nan)
+        covariance = np.full((theta.size, theta.size), math.nan)
+    else:
+        low, high = np.percentile(setup.phi(setup.flow)[setup.scored], (5.0, 95.0)).tolist()
+    tau_s, scored = float(np.exp(theta[0])), int(np.count_nonzero(setup.scored))
     left = setup.rows.stop - setup.rows.start - scored
     impossible = int(np.count_nonzero(setup.impossible[setup.rows]))
     flag = f"{impossible} rows left out in which plane 31 shows more flow than plane 25 passes"
-    return LedgerEntry(
+    entry = LedgerEntry(
         "work characteristic",
         f"ψ_QS fitted to W25 ψ in {scored} rows of {n_cycles} cycles, τ "
         + ("given" if given else "fitted")
@@ -469,7 +447,21 @@ def _entry(
             "scored_phi": SCORED_PHI,
             "mixing_phi": setup.mixing_phi,
             "storage_between_planes": setup.stores,
-            "residual_std": round(scatter, 4),
+            "residual_std": round(std, 4),
         },
         flags=(flag,) if impossible else (),
+    )
+    return WorkCharacteristic(
+        tau_s,
+        tau_s * float(np.sqrt(covariance[0, 0])),
+        names,
+        theta[1:],
+        covariance[1:, 1:],
+        setup.breakpoints,
+        (low, high),
+        scored,
+        n_cycles,
+        std,
+        state,
+        entry,
     )

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.coefficients import (
-    PSI_MINIMUM_PHI,
-    psi_is_known,
-    rate_of_change,
-    work_coefficient,
-)
+from classic_ml.coefficients import PSI_MINIMUM_PHI, psi_is_known, rate_of_change, work_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
@@ -29,28 +24,12 @@ _FORM_WORDS = {
 
 
 def with_work(
-    record: Record,
-    test: TestDescription,
-    form: str,
-    cell_period_s: float | None,
+    record: Record, test: TestDescription, form: str, cell_period_s: float | None
 ) -> Record:
-    """Add ψ to a record with W31.
+    """Add ``psi`` by one of ``WORK_FORMS`` to plane averages with W31, φ and dW25/dt.
 
-    Parameters
-    ----------
-    record : Record
-        Plane averages, with ``phi`` and ``dW25_dt_kg_s2``.
-    test : TestDescription
-        Machine and speed.
-    form : {"auto", "exit-flow", "mass-balance", "temperature-rise"}
-        One of ``WORK_FORMS``.
-    cell_period_s : float or None
-        What the mass balance averages over.
-
-    Returns
-    -------
-    Record
-        With ``psi``, interpolated across φ < ``PSI_MINIMUM_PHI``, where φ is above it at all.
+    It is interpolated across φ < ``PSI_MINIMUM_PHI``, where φ is above it at all; the mass balance
+    averages over ``cell_period_s``.
     """
     n, known = record.n_samples, psi_is_known(record["phi"])
     gaps = n - int(np.count_nonzero(known))
@@ -66,7 +45,9 @@ def with_work(
             )
         )
     by_flow = _energy_form(record, test)
-    rise = _temperature_rise(record, test)
+    # With T2 = T31 nothing is stored between the planes.
+    heat = 2.0 * test.compressor.specific_heat_J_kg_K / test.rotor_velocity_m_s**2
+    rise = heat * (record["T31_K"] - record["T25_K"])
     # Half of what lies between the 16th and 84th percentile is a standard deviation that single
     # rows near zero flow do not decide.
     low, high = np.percentile((by_flow - rise)[known], [16.0, 84.0])
@@ -76,7 +57,8 @@ def with_work(
     if form == "auto":
         # 48 Hz zero phase, 90 % record: rms error of ψ 0.24 by the mass balance and 0.37 by the
         # rise with the lag undone, 0.33 and 0.26 without.
-        instead = "mass-balance" if _lag_undone(record) else "temperature-rise"
+        undone = [e.parameters["invert"] for e in record.history if e.step == "thermocouples"]
+        instead = "mass-balance" if undone[-1:] == [True] else "temperature-rise"
         form = instead if too_far else "exit-flow"
     parameters["form"] = form
     words = _FORM_WORDS[form]
@@ -94,18 +76,6 @@ def with_work(
         flags,
     )
     return record.after(entry, add=[Channel("psi", psi, "1")])
-
-
-def _temperature_rise(record: Record, test: TestDescription) -> FloatArray:
-    """ψ with T2 = T31 (nothing stored between the planes)."""
-    heat = test.compressor.specific_heat_J_kg_K
-    rise_K = record["T31_K"] - record["T25_K"]
-    return np.asarray(2.0 * heat / test.rotor_velocity_m_s**2 * rise_K)
-
-
-def _lag_undone(record: Record) -> bool:
-    said = [e.parameters.get("invert") for e in record.history if e.step == "thermocouples"]
-    return bool(said) and said[-1] is True
 
 
 def _mass_balance(record: Record, test: TestDescription, cell_period_s: float | None) -> FloatArray:

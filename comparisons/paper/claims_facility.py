@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.signal import detrend
 
-from classic_ml.calibration import calibrate, volts
+from classic_ml.calibration import calibrate
 from classic_ml.cycles import find_cycles
 from classic_ml.filters import low_pass
 from classic_ml.flow import (
@@ -104,17 +104,16 @@ def claim_10(runs: Instabilities) -> Finding:
     for case in INSTABILITIES:
         test, own = runs[case].paper.test, runs[case].rig.truth_parameters["sensors"]
         for channel in test.pressures:
-            zero, high = (
-                float(volts(c, test.adc)) for c in (channel.zero_count, channel.calibrate_count)
-            )
+            counts = np.array([channel.zero_count, channel.calibrate_count])
+            zero, high = (test.adc.low_V + test.adc.volts_per_count * counts).tolist()
             found = (high - zero) / channel.calibrate_pressure_Pa
             sensitivity.append(found / own[channel.name]["sensitivity_V_Pa"] - 1.0)
             bias.append((zero - own[channel.name]["bias_V"]) / test.adc.volts_per_count)
     percent = 100.0 * float(np.sqrt(np.mean(np.square(sensitivity))))
-    counts = float(np.sqrt(np.mean(np.square(bias))))
+    off = float(np.sqrt(np.mean(np.square(bias))))
     return Finding(
-        f"sensitivity to {percent:.3f} %, bias to {counts:.2f} counts",
-        percent < 0.1 and counts < 0.5,
+        f"sensitivity to {percent:.3f} %, bias to {off:.2f} counts",
+        percent < 0.1 and off < 0.5,
         {"n": len(bias)},
     )
 

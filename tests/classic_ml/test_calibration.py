@@ -13,7 +13,7 @@ from classic_ml.calibration import (
     invert_thermocouples,
     near_stall_match,
     near_stall_rows,
-    probe_pressure_Pa,
+    total_reading,
 )
 from classic_ml.description import TestDescription
 from classic_ml.records import Channel, Record
@@ -29,7 +29,7 @@ def loaded():
 def test_zero_and_calibrate_codes_give_their_own_pressures(loaded) -> None:
     _, _, test = loaded
     for probe in test.pressures:
-        got = probe_pressure_Pa(probe, test, np.array([probe.zero_count, probe.calibrate_count]))
+        got = total_reading(probe, test, np.array([probe.zero_count, probe.calibrate_count]))
         expected = probe.zoc_reference_Pa + np.array([0.0, probe.calibrate_pressure_Pa])
         np.testing.assert_allclose(got, expected, rtol=1e-12)
 
