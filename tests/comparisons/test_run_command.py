@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import contextlib
+import io
 import json
 import math
 from pathlib import Path
@@ -26,11 +28,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("run")
     write_run(simulate("985", seed=0), folder / "rig")
     raw, test = (str(folder / "rig" / name) for name in ("raw.csv", "test.toml"))
-    with pytest.MonkeyPatch.context() as patch:
-        lines: list[str] = []
-        patch.setattr("builtins.print", lambda *words, **_: lines.extend(map(str, words)))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert main(["run", raw, "--test", test, "--out", str(folder / "out"), "--no-twins"]) == 0
-    return folder / "out", "\n".join(lines)
+    return folder / "out", printed.getvalue()
 
 
 def test_the_answer_is_right_and_holds_the_truth(made: tuple[Path, str]) -> None:
