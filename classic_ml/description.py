@@ -188,7 +188,7 @@ class PressureChannel(_Channel):
     """
 
     kind: Literal["pressure"] = key('"pressure" or "temperature"')
-    immersion: Literal["hub", "tip"] = key('"hub" or "tip"')
+    immersion: Text = key('an immersion of its plane, such as "hub" or "tip"')
     facing: Literal["forward", "aft"] = key('"forward" or "aft"')
     probe_slope: float = key(
         "a number from 0.2 to 5", "it is near 1; is it in per cent?", ge=0.2, le=5.0
@@ -280,7 +280,7 @@ class ProbePair:
 
     @property
     def immersion(self) -> str:
-        """``"hub"`` or ``"tip"``."""
+        """``"hub"``, ``"tip"``, or the name of one between."""
         return self.forward.immersion
 
 

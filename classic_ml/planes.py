@@ -73,14 +73,14 @@ def plane_averages(record: Record, test: TestDescription) -> Record:
     The arithmetic mean over the rakes is taken at each immersion and then over the immersions,
     so that a missing pair does not tilt the mean to the other immersion; with all pairs there
     it is the plain arithmetic mean. Added are ``P25_Pa``, ``T25_K``, ``Wc25_kg_s``,
-    ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s`` and ``W25_kg_s``; the same at plane 31 as far as its flow
-    and T31 are known. A plane of which no pair is left is refused.
+    ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s``, those of immersions between, and ``W25_kg_s``; the same at
+    plane 31 as far as its flow and T31 are known. A plane of which no pair is left is refused.
     """
     columns: dict[str, FloatArray] = {}
     parameters: dict[str, str | int | float | bool] = {}
     for plane in test.areas_m2:
         pairs = _present_pairs(record, test, plane)
-        present = [i for i in ("tip", "hub") if any(pair.immersion == i for pair in pairs)]
+        present = sorted({pair.immersion for pair in pairs}, reverse=True)
         if not present:
             raise InputError(
                 f"{record.source}: plane {plane}",

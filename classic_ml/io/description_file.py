@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -26,13 +26,14 @@ from classic_ml.description import (
     Window,
     key,
 )
+from classic_ml.io.stations import as_written, at_stations, station_names, wrong_immersions
 from classic_ml.units import COUNT, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
 
 _SPEED = "a speed of 100 to 200 000 revolutions a minute"
-# What a table of [defaults] may be for, beside a pattern of names.
-_GROUPS = ("pressure", "temperature", "25", "31")
+# What a table of [defaults] may be for, beside a plane and a pattern of names.
+_KINDS = ("pressure", "temperature")
 _MODELS: dict[str, type[Table]] = {
     model.__name__: model for model in (CountChannel, PressureChannel, TemperatureChannel)
 }
@@ -49,11 +50,13 @@ class TestTable(Table):
 
 
 class Plane(Table):
-    """A table `[planes.N]`."""
+    """A table `[planes.NAME]`."""
 
     area_m2: float = key(
         "an area of 0.0001 to 10 m²", "is it in cm² or square inches?", ge=1e-4, le=10.0
     )
+    station: Literal["inlet", "exit"] | None = None
+    immersions: list[Text] = Field(default=["hub", "tip"], min_length=1)
 
 
 class Planes(Table):
@@ -145,11 +148,14 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     """
     source = str(path)
     values = read_toml(Path(path), "the description of the test (test.toml)")
-    errors = list(_wrong_defaults(*_defaults_of(values), source))
+    stations = station_names(values, source)
+    values = _with_defaults(values, stations)
+    errors = [*_wrong_defaults(*_defaults_of(values), stations, source)]
+    errors += wrong_immersions(values, source)
     try:
-        document = validated(Document, _with_defaults(values), source)
+        document = validated(Document, at_stations(values, stations), source)
     except InputError as error:
-        errors.append(error)
+        errors.append(as_written(error, stations))
     _refuse(errors)
     window, channels = document.window, tuple(document.channels.values())
     return TestDescription(
@@ -185,7 +191,7 @@ def _defaults_of(values: Mapping[str, Any]) -> tuple[dict[str, Any], Mapping[str
     return defaults, channels if isinstance(channels, Mapping) else {}
 
 
-def _with_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
+def _with_defaults(values: Mapping[str, Any], planes: Collection[str]) -> dict[str, Any]:
     """Return the file with what ``[defaults]`` says of several channels written into each.
 
     A table of it is for a kind (``[defaults.pressure]``), a plane (``[defaults.25]``) or a pattern
@@ -203,7 +209,7 @@ def _with_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
             continue
         stated: dict[str, Any] = {}
         for pattern, table in defaults.items():
-            if pattern not in _GROUPS and fnmatchcase(name, pattern):
+            if pattern not in (*_KINDS, *planes) and fnmatchcase(name, pattern):
                 stated |= table
         known = {**stated, **own}
         for group in ("plane", "kind"):
@@ -218,13 +224,17 @@ def _with_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _wrong_defaults(
-    defaults: Mapping[str, Any], channels: Mapping[str, Any], source: str
+    defaults: Mapping[str, Any],
+    channels: Mapping[str, Any],
+    planes: Collection[str],
+    source: str,
 ) -> Iterator[InputError]:
     """Find defaults for no channel, and keys that none has: a misspelt one would be ignored."""
     known = {name for model in _MODELS.values() for name in model.model_fields} - {"name"}
     for name, table in defaults.items():
         found = [key for key in table if key not in known]
-        if name not in _GROUPS and not any(fnmatchcase(channel, name) for channel in channels):
+        is_group = name in (*_KINDS, *planes)
+        if not is_group and not any(fnmatchcase(channel, name) for channel in channels):
             found.append("a pattern of no name")
         if found:
             yield InputError(

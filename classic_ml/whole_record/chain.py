@@ -51,7 +51,7 @@ class PairChain:
 
     @property
     def immersion(self) -> str:
-        """``"hub"`` or ``"tip"``."""
+        """``"hub"``, ``"tip"``, or the name of one between."""
         return self.name.rpartition("_")[2]
 
 

@@ -66,8 +66,12 @@ class RakeSignals:
 
     def mean(self, signals: Mapping[str, FloatArray], plane: int) -> FloatArray:
         """Return the average over the rakes at each immersion and then over the immersions."""
-        levels = [self.at(signals, plane, immersion) for immersion in ("tip", "hub")]
+        levels = [self.at(signals, plane, immersion) for immersion in self.immersions(plane)]
         return np.asarray(np.mean([level for level in levels if level is not None], axis=0))
+
+    def immersions(self, plane: int) -> list[str]:
+        """Return the immersions of a plane at which there is a pair."""
+        return sorted({pair.immersion for pair in self.chain.of_plane(plane)}, reverse=True)
 
     def at(
         self, signals: Mapping[str, FloatArray], plane: int, immersion: str
@@ -96,7 +100,7 @@ class RakeSignals:
             return [] if tip is None or hub is None else [tip - hub]
         found = []
         for signals in (self.flow_kg_s, self.total_Pa):
-            for immersion in ("tip", "hub"):
+            for immersion in self.immersions(plane):
                 own = [
                     signals[pair.name]
                     for pair in self.chain.of_plane(plane)

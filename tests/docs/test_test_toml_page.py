@@ -50,7 +50,7 @@ def keys_on_page() -> dict[str, set[str]]:
         if line.startswith("#"):
             found = re.search(r"`\[([\w.]+)\]`", line)
             head = found[1] if found else line.strip("# ")
-            head = re.sub(r"^planes\.\d+$", "planes.*", head)
+            head = re.sub(r"^planes\.NAME$", "planes.*", head)
         if line.startswith("|"):
             keys[head] |= set(re.findall(r"`(\w+)`", line.split("|")[1]))
     return {head: found for head, found in keys.items() if found}
