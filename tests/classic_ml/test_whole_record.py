@@ -187,15 +187,31 @@ def test_a_twin_without_noise_reads_the_model(signals: RakeSignals, fitted: Whol
         signals.chain,
         pairs=tuple(replace(p, noise_Pa=0.0, noise_aft_Pa=0.0) for p in signals.chain.pairs),
     )
-    twin = twin_of(
-        replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit
-    ).measured(np.random.default_rng(0))
+    model = twin_of(replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit)
+    twin = replace(model, offset_Pa=0.0).measured(np.random.default_rng(0))
     for pair in quiet.of_plane(25):
         at = np.abs(twin.flow_kg_s[pair.name]) > 5.0
         smooth = twin.flow_kg_s[pair.name][at] - signals.flow_kg_s[pair.name][at]
         assert abs(np.median(smooth)) < 0.05
     again = fit_whole_record(twin, interval=False)
     assert again.tau_s == pytest.approx(fit.tau_s, rel=0.1)
+
+
+def test_rakes_that_disagree_show_the_error_of_calibration(
+    signals: RakeSignals, fitted: WholeRecordRun
+) -> None:
+    """Two rakes at two immersions: two degrees of freedom a record, over sixteen records."""
+    fit = fitted.fits_[0]
+    model = (fit.passes, fit.spec, fit.in_stall, fit.fit)
+    twin = twin_of(signals, *model)
+    # Rakes that agree: both carry the flow of rake A.
+    alike = {name: twin.flow_kg_s[name.replace("_B_", "_A_")] for name in twin.flow_kg_s}
+    twin = replace(twin, flow_kg_s=alike, offset_Pa=15.0)
+    found = [
+        twin_of(twin.measured(np.random.default_rng(seed)), *model).offset_Pa for seed in range(16)
+    ]
+    # The square of a deviation from 32 degrees of freedom is known to a quarter.
+    assert np.mean(np.square(found)) == pytest.approx(15.0**2, rel=0.5)
 
 
 def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
