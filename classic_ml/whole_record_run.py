@@ -261,16 +261,11 @@ class _Answer:
         own_curve, _ = _mean_curve(
             [_curve_at(math.exp(log_tau), fit) for fit in fits], [fit.covariance for fit in fits]
         )
-        coefficients, covariance = _mean_curve(
+        coefficients, _ = _mean_curve(
             (own_curve, second.coef_), (self.covariance, second.covariance_)
         )
-        return _Answer(
-            log_tau,
-            mean_share,
-            coefficients,
-            # Errors of one record's noise do not average out: half of what independent ones would.
-            (1.0 + CORRELATION) * covariance,
-        )
+        # Both readings see one calibration and one state: the mean of the curves is no surer.
+        return _Answer(log_tau, mean_share, coefficients, self.covariance)
 
 
 def _combined(

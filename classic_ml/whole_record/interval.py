@@ -201,3 +201,13 @@ def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: 
         widened**2 * (apart.T @ apart) / len(fits),
         len(fits),
     )
+
+
+def errors_of(twins: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
+    """Return the scatter of twins, of the curve about the fit, which is the truth of theirs."""
+    scatter = scatter_of(twins, fit, degree, math.sqrt(len(twins) / max(len(twins) - 1, 1)))
+    if len(twins) < 2:
+        return scatter
+    own = fit.coefficients[: degree + 1]
+    apart = np.array([each.coefficients[: degree + 1] - own for each in twins])
+    return replace(scatter, curve=apart.T @ apart / len(twins))
