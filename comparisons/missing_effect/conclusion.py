@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER
 from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
@@ -23,7 +24,7 @@ from comparisons.missing_effect.results import (
     MissingEffect,
     ParameterRow,
 )
-from comparisons.missing_effect.search import Leftover, Round
+from comparisons.missing_effect.search import verdict_of
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     covariance_of,
@@ -42,11 +43,11 @@ AT_BOUND = 1e-3
 # What a term without a name needs.
 TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
 
-AliasSets = Mapping[str, Sequence[Candidate]]
+AliasSets = Mapping[Hashable, Sequence[LagCandidate]]
 
 
 def concluded(
-    verdict: str,
+    otherwise: str,
     base: Bench,
     final: Bench,
     *,
@@ -54,7 +55,7 @@ def concluded(
     provisional: bool,
     noise: NoiseModel,
     leftover: Leftover,
-    rounds: Sequence[Round],
+    rounds: Sequence[LagRound],
     unavailable: Mapping[str, str],
     gap: Gap | float,
     left: tuple[FloatArray, FloatArray] | None = None,
@@ -63,8 +64,8 @@ def concluded(
 
     Parameters
     ----------
-    verdict : str
-        One of the seven; a name whose effect is not distinguished from none makes it provisional.
+    otherwise : str
+        The verdict where nothing was found.
     base, final : Bench
         The model before and after, on the same rows.
     sets : mapping of str to sequence of Candidate
@@ -97,8 +98,6 @@ def concluded(
         for name, size in sizes.items()
         if size < LEAST_SIZE or _lost(values[name][0], bounds[name])
     }
-    if verdict in ("named", "alias_set") and unsure:
-        verdict = "provisional"
     covariance = covariance_of(after, with_own_state(data, after), final)
     missing = tuple(
         missing_effect(
@@ -128,7 +127,7 @@ def concluded(
     first = rounds[0].bench if rounds else base
     earlier = covariance_of(before, with_own_state(first.data, before), first)
     return LagDiagnosis(
-        verdict=verdict,
+        verdict=verdict_of(missing, otherwise),
         missing=missing,
         parameters=_parameters((before, earlier), (after, covariance)),
         unavailable=unavailable,
@@ -263,7 +262,7 @@ def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]
     return out
 
 
-def evidence_numbers(candidate: Candidate) -> dict[str, float]:
+def evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
     """Return the evidence of a candidate by name.
 
     Parameters

@@ -8,25 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
-from comparisons.missing_effect.conclusion import concluded, missing_effect
+from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import is_whole, load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.results import MissingEffect
-from comparisons.missing_effect.search import (
-    Round,
-    aliases,
-    leftover_of,
-    refitted_without,
-    search_round,
-)
+from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
@@ -129,39 +124,11 @@ def diagnose_data(
     """
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
     effects = [e for e in catalogue if e.name not in unavailable]
-    open_library = open_terms(data)
     base = first_bench(data, tuple(terms), len(effects))
-    rounds: list[Round] = []
-    bench = base
-    found: list[Effect] = []
-    while len(found) < most_effects:
-        left = [e for e in effects if e.name not in {f.name for f in found}]
-        step = search_round(bench, left, open_library)
-        rounds.append(step)
-        if step.winner is None or len(found) + len(step.winner.added) > most_effects:
-            break
-        found += step.winner.added
-        bench = replace(step.bench, fit=step.winner.fit).with_states()
-        if step.winner.unnamed or not step.leftover.structured:
-            break
-    final = rounds[-1].bench if rounds[-1].winner is None else bench
-    if len(found) > 1:
-        final, rounds = _pruned(final, rounds, effects, open_library)
-    found_all = _concluded(base, final, rounds, effects, unavailable)
-    return replace(found_all, catalogue=tuple(catalogue))
-
-
-def _pruned(
-    bench: Bench, rounds: list[Round], effects: Sequence[Effect], open_library: Sequence[Effect]
-) -> tuple[Bench, list[Round]]:
-    """Take out effects that those found later made needless: they stood in for what came after."""
-    for effect in bench.fit.structure.effects:
-        if len(bench.fit.structure.effects) < 2 or _swapped(bench, effect, [effect]):
-            continue
-        bench = refitted_without(bench, effect)
-        left = leftover_of(bench, None, effects, open_library)
-        rounds = [*rounds[:-1], replace(rounds[-1], leftover=left)]
-    return bench, rounds
+    final, rounds = search(base, effects, open_terms(data), most_effects)
+    sets = alias_sets(final, rounds, effects)
+    found = _concluded(base, final, rounds, sets, unavailable)
+    return replace(found, catalogue=tuple(catalogue))
 
 
 def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
@@ -195,28 +162,25 @@ def _tau_starts(data: LagData) -> tuple[float, ...]:
 def _concluded(
     base: Bench,
     final: Bench,
-    rounds: Sequence[Round],
-    effects: Sequence[Effect],
+    rounds: Sequence[LagRound],
+    sets: AliasSets,
     unavailable: Mapping[str, str],
 ) -> LagDiagnosis:
-    last = rounds[-1]
-    noise = final.noise(final.fit)
-    found = final.fit.structure.effects
-    sets = _alias_sets(final, rounds, effects)
-    provisional = bool(found) and (last.leftover.doubtful or any(e.unnamed for e in found))
-    verdict = _verdict(found, sets, provisional, last, noise)
+    left, noise = rounds[-1].leftover, final.noise(final.fit)
+    doubtful = left.doubtful or any(e.unnamed for e in final.found)
     diagnosis = concluded(
-        verdict,
+        _otherwise(left, noise),
         base,
         final,
         sets=sets,
-        provisional=provisional,
+        provisional=doubtful,
         noise=noise,
-        leftover=last.leftover,
+        leftover=left,
         rounds=rounds,
         unavailable=unavailable,
         gap=noise.sigma,
     )
+    verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.
         doubted = tuple(replace(item, provisional=True) for item in diagnosis.missing)
@@ -233,51 +197,10 @@ def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
     return missing_effect(FLOW_NOISE, [FLOW_NOISE], False, (sigma,), evidence)
 
 
-def _verdict(
-    found: Sequence[Effect],
-    sets: Mapping[str, Sequence[Candidate]],
-    provisional: bool,
-    last: Round,
-    noise: NoiseModel,
-) -> str:
-    if found:
-        if all(effect.unnamed for effect in found):
-            return "unnamed_term"
-        if provisional:
-            return "provisional"
-        return "alias_set" if any(len(members) > 1 for members in sets.values()) else "named"
-    if last.leftover.structured or sum(noise.ar) > LARGEST_MEMORY:
+def _otherwise(left: Leftover, noise: NoiseModel) -> str:
+    """Return the verdict where nothing was found."""
+    if left.structured or sum(noise.ar) > LARGEST_MEMORY:
         return "unexplained_structure"
     if noise.coloured or noise.heavy_tailed:
         return "noise_model_wrong"
     return "nothing_missing"
-
-
-def _alias_sets(
-    final: Bench, rounds: Sequence[Round], effects: Sequence[Effect]
-) -> dict[str, tuple[Candidate, ...]]:
-    """Return, for each effect found, the candidates that could stand in its place."""
-    found = final.fit.structure.effects
-    if len(found) == 1:
-        for step in rounds:
-            if step.winner is not None and step.winner.name == found[0].name:
-                base = step.bench.errors(step.bench.fit)
-                return {found[0].name: aliases(step.bench, step.winner, step.candidates, base)}
-    return {effect.name: _swapped(final, effect, effects) for effect in found}
-
-
-def _swapped(final: Bench, effect: Effect, effects: Sequence[Effect]) -> tuple[Candidate, ...]:
-    """Take one effect out of the model and see which others would do in its place."""
-    without = refitted_without(final, effect)
-    base = without.errors(without.fit)
-    present = set(without.fit.structure.names)
-    prober = without.prober()
-    names = [e for e in effects if e.name not in present]
-    if effect.unnamed:
-        names = [effect]
-    probes = without.promising([prober.probe(e) for e in names])
-    tried = without.ranked([without.weighed(without.fitted(p), [p.effect], base) for p in probes])
-    own = next((c for c in tried if c.name == effect.name), None)
-    if own is None or not own.evidence.accepted:
-        return ()
-    return aliases(without, own, [c for c in tried if c is not own], base)

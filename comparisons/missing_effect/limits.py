@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.candidates import Bench, LagCandidate, LagWeigher
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
@@ -312,8 +312,8 @@ class _Drill:
         if noise.coloured or noise.heavy_tailed:
             own = candidate.nonlinear[bench.fit.nonlinear.size :]
             candidate = bench.fitted(replace(probe, starts=(own,)))
-        base = bench.errors(bench.fit)
-        return bool(bench.weighed(candidate, [effect], base).evidence.accepted)
+        alone = LagCandidate((effect,), candidate)
+        return LagWeigher.of(bench).weighed(alone).accepted
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)

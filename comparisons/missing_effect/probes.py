@@ -47,6 +47,16 @@ class Probe:
     columns: FloatArray
 
     @property
+    def added(self) -> tuple[Effect]:
+        """The effect."""
+        return (self.effect,)
+
+    @property
+    def key(self) -> frozenset[str]:
+        """What makes it the same as another."""
+        return frozenset({self.effect.name})
+
+    @property
     def chance(self) -> float:
         """Chance of so large a gain in noise, times what was searched."""
         from scipy.stats import chi2

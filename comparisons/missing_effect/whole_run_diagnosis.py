@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
-from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
@@ -20,26 +20,25 @@ from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import SIZE, Absent, Gap, Untold
-from comparisons.missing_effect.search import Leftover, Round
+from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     N_TWINS,
+    NOTHING_LEFT,
     SHAPED,
     Nulls,
     Progress,
+    WholeRuns,
     cycles_left_out,
     fitted,
     nulls_of,
     number_of,
     plain_bench,
-    rivals,
     rms_left,
-    weighed,
 )
 from surge_core.types import FloatArray
 
-NOTHING_LEFT = Leftover(0.0, 0, 1.0)
 # Beyond so many times what twins leave, model error rules the errors, and a name may be another's.
 MUCH = 2.0
 # Averaged φ² above this is a reversal and not its edge; what the loss must explain there.
@@ -94,28 +93,22 @@ def diagnose_whole_runs(
     why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
     blind = effects if why or line else []
     effects = [] if blind else effects
-    base = bench = plain_bench(data, terms, len(effects), block_rows(data))
-    nulls = Nulls({}, np.nan)
+    base = plain_bench(data, terms, len(effects), block_rows(data))
     if n_twins and effects:
         leader = _of_leader(base, effects)
         nulls = nulls_of(
             ordered, readings, base, effects, leader, n_twins=n_twins, progress=progress
         )
-    rounds: list[Round] = []
-    sets: dict[str, tuple[Candidate, ...]] = {}
-    while len(sets) < most_effects:
-        known = {candidate.name for members in sets.values() for candidate in members}
-        candidates = weighed(bench, [e for e in effects if e.name not in known], nulls)
-        winner = next((c for c in candidates if c.evidence.accepted), None)
-        rounds.append(Round(bench, _noise(bench), candidates, (), (), winner, NOTHING_LEFT))
-        if winner is None:
-            break
-        sets[winner.name] = rivals(bench, winner, candidates, nulls)
-        bench = replace(bench, fit=winner.fit)
+        base = replace(base, nulls=nulls)
+    nulls = base.nulls
+    bench, rounds = search(base, effects, (), most_effects)
+    sets = alias_sets(bench, rounds, effects)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     left = _left_out(base, bench)
+    unexplained = much and bool(n_twins)
+    otherwise = "unexplained_structure" if unexplained else "nothing_missing"
     diagnosis = concluded(
-        _verdict(sets, line, much=much and bool(n_twins or sets)),
+        "named" if line else otherwise,
         base,
         bench,
         sets=sets,
@@ -150,7 +143,7 @@ def diagnose_whole_runs(
     return _with_line(_with_reverse_loss(diagnosis, bench), line)
 
 
-def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
+def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     """Return what the effect that explains most adds to ψ', on the fine rows.
 
     With it in the twins the null would hold what is looked for: a drift that the model without it
@@ -163,7 +156,7 @@ def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _firm(members: Sequence[Candidate], bench: Bench, nulls: Nulls) -> bool:
+def _firm(members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> bool:
     """Return whether one of a set is beyond its null on a record that decides about it."""
     by_effect = nulls.by_effect
     return any(
@@ -227,16 +220,6 @@ def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
 def _noise(bench: Bench) -> NoiseModel:
     rms = rms_left(bench)
     return NoiseModel(rms, rms, (), 0.0)
-
-
-def _verdict(
-    sets: Mapping[str, Sequence[Candidate]], line: RippleLine | None, *, much: bool
-) -> str:
-    if much:
-        return "provisional" if sets else "named" if line else "unexplained_structure"
-    if not sets:
-        return "named" if line else "nothing_missing"
-    return "alias_set" if any(len(members) > 1 for members in sets.values()) else "named"
 
 
 def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -208,6 +208,20 @@ class Placed:
         """Name of the effect."""
         return self.effect.name
 
+    @property
+    def unnamed(self) -> bool:
+        """Whether it is a term without a name."""
+        return self.effect.unnamed
+
+    @property
+    def brings(self) -> int:
+        """How many numbers and states it adds."""
+        return sum(not held for held in self.held) + self.effect.own_state
+
+    def is_plain_form_of(self, other: Placed) -> bool:
+        """Tell whether another is this one with something more, at the same place."""
+        return self.place == other.place and other.name in self.effect.simple_form_of
+
     def where(self, model: Model) -> dict[str, str]:
         """Return its place in words: equation, signal, channel.
 
@@ -298,6 +312,19 @@ class Placed:
             if not all(is_mechanical(unit) for unit in acting):
                 return effect.neutral
         return Neutral(effect.name.replace("_", " "), effect.says, effect.confirm)
+
+
+def label_of(added: Sequence[Placed], model: Model) -> str:
+    """Return names and places of one effect or two in one line.
+
+    Parameters
+    ----------
+    added : sequence of Placed
+        The effects.
+    model : Model
+        The model that they sit in.
+    """
+    return " + ".join(placed.label(model) for placed in added)
 
 
 def rms(values: FloatArray) -> float:

@@ -57,7 +57,7 @@ def promising(raw: Answers, white: Answers) -> list[Probe]:
     return list(kept.values())
 
 
-def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
+def raced(bench: Bench, probes: Sequence[Probe]) -> list[tuple[Probe, Fit]]:
     """Fit a few steps each in the raw metric, and to the end those that are ahead by then.
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
@@ -67,7 +67,7 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     begun = {probe: _begun(lane, probe, white) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
-        return {}
+        return []
     own = {p: metric_of(f.errors).log_likelihood(f.errors) for p, f in begun.items()}
     ahead: list[Probe] = []
     for unnamed in (False, True):
@@ -82,18 +82,23 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
         if p not in ahead
         and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
     ]
-    return {
-        p: fit_runs(
-            begun[p].structure,
-            bench.train,
-            bench.raw,
-            begun[p].theta,
-            begun[p].starts if lane is bench else bench.fit.starts,
-            begun[p].scale,
-            most=MOST_ITERATIONS,
+    starts = {p: begun[p].starts if lane is bench else bench.fit.starts for p in ahead}
+    return [
+        (
+            p,
+            fit_runs(
+                begun[p].structure,
+                bench.train,
+                bench.raw,
+                begun[p].theta,
+                starts[p],
+                begun[p].scale,
+                most=MOST_ITERATIONS,
+            ),
         )
-        for p in ahead
-    }
+        for p in probes
+        if p in ahead
+    ]
 
 
 def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
@@ -142,16 +147,16 @@ def _slots(structure: Structure, probe: Probe) -> FloatArray:
     return structure.slots((0.0, *probe.start[1:]) if linear else probe.start)
 
 
-def favoured_metric(bench: Bench, raw_fits: dict[Probe, Fit]) -> Metric:
+def favoured_metric(bench: Bench, fits: Sequence[Fit]) -> Metric:
     """Return the metric of the errors of the candidate that held-out rows favour.
 
     By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
     """
-    good = [bench.fit, *[fit for fit in raw_fits.values() if not fit.failed]]
 
     def held_out(fit: Fit) -> float:
         own = metric_of(fit.errors)
         later = settled(fit, bench.later, own)
         return -np.inf if later.failed else own.log_likelihood(later.errors)
 
+    good = [bench.fit, *(fit for fit in fits if not fit.failed)]
     return metric_of(max(good, key=held_out).errors)

@@ -13,9 +13,9 @@ from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.results import SIZE, Diagnosis, Gap
-from comparisons.missing_effect.search import Leftover
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     fitted_parameters,
@@ -66,7 +66,7 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
     return concluded(
-        "named",
+        "nothing_missing",
         base,
         bench,
         sets={effect.name: ()},
