@@ -386,16 +386,14 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
     start : ndarray of shape (p,)
         log τ and the parameters of the effects.
     """
-    trials, at = [start], 1
+    trials = [start]
     reach = data.phi_range[1] - data.phi_range[0]
-    for effect in structure.effects:
-        for i in effect.free if effect.switches else ():
-            for step in NUDGES:
-                for sign in (-1.0, 1.0):
-                    trial = start.copy()
-                    trial[at + i] += sign * step * reach
-                    trials.append(trial)
-        at += len(effect.nonlinear)
+    for at in structure.switching:
+        for step in NUDGES:
+            for sign in (-1.0, 1.0):
+                trial = start.copy()
+                trial[at] += sign * step * reach
+                trials.append(trial)
     if len(trials) == 1:
         return start
     return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)

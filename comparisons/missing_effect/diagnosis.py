@@ -12,8 +12,9 @@ from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
+from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.excitation import block_rows
-from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import is_whole, load_data
@@ -31,6 +32,8 @@ from surge_core.threads import one_thread
 MOST_EFFECTS = 3
 # Errors with more memory than this are a drift that no term explains, and not a noise.
 LARGEST_MEMORY = 0.9
+BESIDE_A_TERM = "a term without a name had to stand beside it"
+NO_SMALLER = "it makes the error on held-out rows no smaller"
 
 
 def polynomial_terms(degree: int) -> tuple[str, ...]:
@@ -166,24 +169,28 @@ def _concluded(
     sets: AliasSets,
     unavailable: Mapping[str, str],
 ) -> LagDiagnosis:
-    left, noise = rounds[-1].leftover, final.noise(final.fit)
-    doubtful = left.doubtful or any(e.unnamed for e in final.found)
+    leftover, noise, data = rounds[-1].leftover, final.noise(final.fit), final.data
+    unnamed = [effect for effect in final.found if effect.unnamed]
     diagnosis = concluded(
-        _otherwise(left, noise),
         base,
         final,
-        sets=sets,
-        provisional=doubtful,
+        rounds,
+        sets,
+        otherwise=_otherwise(leftover, noise),
+        doubts=(*leftover.doubts, *(BESIDE_A_TERM for _ in unnamed[:1])),
         noise=noise,
-        leftover=left,
-        rounds=rounds,
+        left=(
+            errors_on(base.fit, base.data, Metric())[0],
+            errors_on(final.fit, data, Metric())[0],
+        ),
+        held=data.scored() & np.isin(data.part, (LATER, OTHER)),
+        floor_rms=noise.sigma,
         unavailable=unavailable,
-        gap=noise.sigma,
     )
     verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.
-        doubted = tuple(replace(item, provisional=True) for item in diagnosis.missing)
+        doubted = tuple(item.doubted(NO_SMALLER) for item in diagnosis.missing)
         return replace(diagnosis, verdict="provisional", missing=doubted)
     if verdict != "noise_model_wrong" or noise.flow is None:
         return diagnosis
@@ -194,7 +201,7 @@ def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
     """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
     sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
     evidence = {"gain_over_autoregression": noise.flow_gain}
-    return missing_effect(FLOW_NOISE, [FLOW_NOISE], False, (sigma,), evidence)
+    return missing_effect(FLOW_NOISE, [FLOW_NOISE], (sigma,), evidence)
 
 
 def _otherwise(left: Leftover, noise: NoiseModel) -> str:

@@ -19,16 +19,13 @@ from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.quantities import chance, label_of
+from comparisons.missing_effect.quantities import label_of
 from comparisons.missing_effect.results import (
-    SIZE,
     CandidateRow,
     Diagnosis,
     Gap,
-    MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine
 from surge_core.types import FloatArray
 
@@ -190,30 +187,6 @@ class LagDiagnosis(Diagnosis):
             # On whole runs a ripple is a line of the spectrum, and reversed rows are not scored.
             and not (self.whole_runs and (effect.episodes or effect.name == "reverse_flow_branch"))
         )
-
-    def doubts_of(self, item: MissingEffect) -> tuple[str, ...]:
-        """Return why the name of an effect is not firm; empty where it is."""
-        if not item.provisional or item.doubts:
-            return super().doubts_of(item)
-        size = item.evidence.get(SIZE, np.inf)
-        if size < LEAST_SIZE:
-            why = (
-                f"what it does to ψ' is not distinguished from nothing ({size:.1f} standard "
-                "errors, all its numbers together)"
-            )
-        elif self.whole_runs:
-            why = "twins of these records, measured or not, are no measure of it"
-        elif self.leftover.structured:
-            why = (
-                "the model with it still leaves structure in its errors (what else was tested "
-                f"would win {self.leftover.gain:.0f} log-units together, p "
-                f"{chance(self.leftover.p_value)})"
-            )
-        elif self.gap.shrink <= 0.0:
-            why = "it makes the error on held-out rows no smaller"
-        else:
-            why = "a term without a name had to stand beside it"
-        return (why,)
 
     def _stand_ins(self, step: LagRound) -> set[frozenset[str]]:
         """Return what could stand for the winner of a round, it among them, if any."""

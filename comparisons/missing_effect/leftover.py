@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import TRAIN
 from comparisons.missing_effect.probes import Prober
+from comparisons.missing_effect.quantities import chance
 
 # The chance below which what a model leaves is called structure, and not chance.
 LEFTOVER_P = 1e-4
@@ -53,10 +54,19 @@ class Leftover:
         return self.p_value < LEFTOVER_P
 
     @property
-    def doubtful(self) -> bool:
-        """Whether a name that leaves this is provisional: a stricter bound, and even errors."""
-        bound = DOUBTFUL_ALONE_P if self.alone else DOUBTFUL_P
-        return self.p_value < bound or self.unevenness > LARGEST_UNEVENNESS
+    def doubts(self) -> tuple[str, ...]:
+        """Why a name that leaves this is not firm: a stricter bound, and even errors."""
+        out, p = [], chance(self.p_value)
+        if self.structured:
+            out.append(
+                "the model with it still leaves structure in its errors (what else was tested "
+                f"would win {self.gain:.0f} log-units together, p {p})"
+            )
+        elif self.p_value < (DOUBTFUL_ALONE_P if self.alone else DOUBTFUL_P):
+            out.append(f"what the model with it leaves is hardly chance (p {p})")
+        if self.unevenness > LARGEST_UNEVENNESS:
+            out.append("it leaves the rows that were held out noisier than those fitted")
+        return tuple(out)
 
 
 def leftover_of(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit, Solution, slope_of_starts, solved
 from comparisons.missing_effect.lag_data import LagData
@@ -90,7 +91,7 @@ class Prober:
         seen = metric.seen(slopes, self.solution.decay, data)
         basis = self.solution.basis
         seen -= basis @ (basis.T @ seen)
-        self.basis = np.column_stack([basis, _orthonormal(seen)])
+        self.basis = np.column_stack([basis, orthonormal(seen)])
         self.errors = self.solution.errors
         self._here = self._contracted(self.ports)
 
@@ -118,7 +119,7 @@ class Prober:
 
     def joint(self, columns: Sequence[FloatArray]) -> tuple[float, FloatArray]:
         """Return the gain and the basis of many columns at once."""
-        basis = _orthonormal(np.column_stack(columns))
+        basis = orthonormal(np.column_stack(columns))
         along = basis.T @ self.errors
         return 0.5 * float(along @ along), basis
 
@@ -173,7 +174,7 @@ class Prober:
         kept = own > np.maximum(LEAST_OWN_SHARE * whole, 1e-12)
         if not np.any(kept):
             return 0.0, np.zeros((columns.shape[0], 0)), 0.0
-        basis = _orthonormal(seen[:, kept])
+        basis = orthonormal(seen[:, kept])
         along = basis.T @ self.errors
         amplitude = float(seen[:, 0] @ self.errors) / max(float(own[0]) ** 2, 1e-300)
         return 0.5 * float(along @ along), basis, amplitude
@@ -229,19 +230,3 @@ def episode_spectrum(
     power[frequency < lowest] = 0.0
     power[frequency > HIGHEST_SHARE / data.sample_period_s] = 0.0
     return np.asarray(frequency, dtype=np.float64), power
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of columns, without those that the others already span."""
-    if columns.shape[1] == 0:
-        return columns
-    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    kept = np.asarray(columns[:, size > 1e-12] / size[size > 1e-12])
-    if kept.shape[1] == 0:
-        return kept
-    basis, triangle = np.linalg.qr(kept)
-    diagonal = np.abs(np.diag(triangle))
-    if diagonal.min() > 1e-6:
-        return np.asarray(basis)
-    left, scale, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(left[:, scale > 1e-6 * scale[0]])

@@ -64,12 +64,10 @@ def search(
     rounds: list[Round[A, F]] = []
     while len(here.found) < most and not here.failed:
         report(f"round {len(rounds) + 1}")
-        step = search_round(here, effects, library)
+        step = search_round(here, effects, library, most - len(here.found))
         rounds.append(step)
         if step.winner is None:
             here = step.bench
-            break
-        if len(here.found) + len(step.winner.added) > most:
             break
         moved = step.bench.with_winner(step)
         if here.found and not is_worth_adding(step, here, moved):
@@ -85,7 +83,7 @@ def search(
 
 
 def search_round(
-    system: System[A, F], effects: Sequence[Any], library: Sequence[Any]
+    system: System[A, F], effects: Sequence[Any], library: Sequence[Any], room: int = 2
 ) -> Round[A, F]:
     """Try everything that may be added to a model.
 
@@ -95,9 +93,11 @@ def search_round(
         The model and its records.
     effects, library : sequence
         Names, and terms without one.
+    room : int
+        At most so many are added.
     """
     laid = system.laid(effects, library)
-    fits = system.raced(laid)
+    fits = [(probe, fit) for probe, fit in system.raced(laid) if len(probe.added) <= room]
     bench, weigher = system.weigher(laid, fits)
     tried = [weigher.weighed(weigher.candidate(probe, fit)) for probe, fit in fits]
     raced = {probe.key for probe, _ in fits}
@@ -105,7 +105,7 @@ def search_round(
     winner, aliases, rivalled = _winner(weigher, ranked)
     left = bench.leftover(winner, effects, library)
     pairs: tuple[Candidate[A, F], ...] = ()
-    if left is not None and left.structured and ranked:
+    if left is not None and left.structured and room > 1:
         pairs = weigher.ranked(_pairs(bench, weigher, ranked, effects))
         best = next((pair for pair in pairs if pair.accepted), None)
         if best is not None and _is_better(weigher, best, winner, ranked):

@@ -19,13 +19,12 @@ from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import SIZE, Absent, Gap, Untold
+from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     N_TWINS,
-    NOTHING_LEFT,
     SHAPED,
     Nulls,
     Progress,
@@ -45,6 +44,7 @@ MUCH = 2.0
 LEAST_LOSS = 1e-5
 LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
+NO_MEASURE = "twins of these records, measured or not, are no measure of it"
 REVERSED = "reverse_flow_branch"
 ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
 SECOND_PATTERN = "what a second pattern of stall cells leaves takes other names"
@@ -104,29 +104,28 @@ def diagnose_whole_runs(
     bench, rounds = search(base, effects, (), most_effects)
     sets = alias_sets(bench, rounds, effects)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
-    left = _left_out(base, bench)
     unexplained = much and bool(n_twins)
     otherwise = "unexplained_structure" if unexplained else "nothing_missing"
+    noise = NoiseModel(rms_left(bench), rms_left(bench), (), 0.0)
     diagnosis = concluded(
-        "named" if line else otherwise,
         base,
         bench,
-        sets=sets,
-        provisional=much,
-        noise=_noise(bench),
-        leftover=NOTHING_LEFT,
-        rounds=rounds,
+        rounds,
+        sets,
+        otherwise="named" if line else otherwise,
+        doubts=(NO_MEASURE,) if much else (),
+        noise=noise,
+        left=_left_out(base, bench),
+        held=bench.rows.valid,
+        floor_rms=averaged_noise(readings),
         unavailable=unavailable,
-        gap=_gap(left, bench, averaged_noise(readings)),
-        left=left,
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
-    firm = [
-        i == 0 and _firm(sets[item.effect], base, nulls) for i, item in enumerate(diagnosis.missing)
-    ]
     missing = tuple(
-        replace(item, provisional=item.provisional or not sure)
-        for item, sure in zip(diagnosis.missing, firm, strict=True)
+        item
+        if item.provisional or (i == 0 and _firm(sets[item.effect], base, nulls))
+        else item.doubted(NO_MEASURE)
+        for i, item in enumerate(diagnosis.missing)
     )
     verdict = diagnosis.verdict
     if missing and all(item.provisional for item in missing):
@@ -207,19 +206,9 @@ def _left_out(base: Bench, final: Bench) -> tuple[FloatArray, FloatArray]:
     return before, cycles_left_out(final.fit, final) * final.metric.sigma
 
 
-def _gap(left: tuple[FloatArray, FloatArray], final: Bench, floor_rms: float) -> Gap:
-    before, after = (float(np.sqrt(np.mean(errors[final.rows.valid] ** 2))) for errors in left)
-    return Gap(before, after, floor_rms)
-
-
 def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
     lines = [line for reading in readings if (line := ripple_line(reading)) is not None]
     return max(lines, key=lambda line: line.height) if len(lines) == len(readings) else None
-
-
-def _noise(bench: Bench) -> NoiseModel:
-    rms = rms_left(bench)
-    return NoiseModel(rms, rms, (), 0.0)
 
 
 def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis:
@@ -230,7 +219,6 @@ def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis
     found = missing_effect(
         ripple,
         [ripple],
-        False,
         (
             FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
             FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
@@ -271,7 +259,6 @@ def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench) -> LagDiagnosis:
     found = missing_effect(
         reversed_,
         [reversed_],
-        False,
         (
             FittedParameter("c", size, stderr, "1"),
             FittedParameter("lagged", 0.0, 0.0, "1"),

@@ -147,8 +147,8 @@ def _found(
         LagCandidate((other,), made_fit(other, near), np.zeros(0), evidence(944.5)),
         LagCandidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
     )
-    provisional = verdict == "provisional"
-    item = missing_effect(winner, members, provisional, parameters, {"score": 950.0})
+    doubts = Leftover(171.0, 38, 3e-51).doubts if verdict == "provisional" else ()
+    item = missing_effect(winner, members, parameters, {"score": 950.0}, doubts)
     return (item, fit), candidates
 
 

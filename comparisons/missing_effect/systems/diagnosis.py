@@ -24,7 +24,7 @@ from comparisons.missing_effect.systems.doubts import doubts_of, left_words, lef
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
-from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
 from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
@@ -188,7 +188,7 @@ def _concluded(
     return SystemDiagnosis(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
-        parameters=_parameters(records, before, before_cov, after, after_cov),
+        parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
         remarks=(*_remarks(base, rounds, missing, left), *remarks),
         model=model,
@@ -269,8 +269,7 @@ def _doubted(item: MissingEffect) -> MissingEffect:
     """
     if item.unnamed:
         return item
-    doubts = (*item.doubts, "inputs and states still foretell the error that is left")
-    return replace(item, provisional=True, doubts=doubts)
+    return item.doubted("inputs and states still foretell the error that is left")
 
 
 def _foretells_badly(bench: Bench) -> bool:
@@ -282,52 +281,27 @@ def _foretells_badly(bench: Bench) -> bool:
     return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
 
 
-def _parameters(
-    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
-) -> tuple[ParameterRow, ...]:
-    rows = []
-    for i, (name, parameter) in enumerate(records.model.params.items()):
-        value = float(after.theta[i])
-        reach = AT_BOUND * (parameter.high - parameter.low)
-        rows.append(
-            ParameterRow(
-                name,
-                parameter.unit,
-                float(before.theta[i]),
-                value,
-                float(np.sqrt(max(before_cov[i, i], 0.0))),
-                float(np.sqrt(max(after_cov[i, i], 0.0))),
-                min(value - parameter.low, parameter.high - value) < reach,
-            )
-        )
-    return (*rows, *_record_parameters(records, before, before_cov, after, after_cov))
-
-
-def _record_parameters(
-    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
-) -> list[ParameterRow]:
-    """Return the parameters that are of each record, one row a record."""
+def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
+    """Return the parameters by the fits before and after, those of each record one row a record."""
     model, rows = records.model, []
+    for i, (name, p) in enumerate(model.params.items()):
+        rows.append(_row(name, p, [(fit.theta[i], cov[i, i]) for fit, cov in fits]))
     for k, (name, p) in enumerate(model.per_record.items()):
         for r, record in enumerate(records.whole):
             at, c = model.own_states + k, k + len(model.per_record) * r
-            value, reach = float(after.starts[r][at]), AT_BOUND * (p.high - p.low)
-            own_before, own_after = (
-                float(np.sqrt(max(cov[fit.theta.size + c, fit.theta.size + c], 0.0)))
-                for fit, cov in ((before, before_cov), (after, after_cov))
-            )
-            rows.append(
-                ParameterRow(
-                    f"{name} of {record.name}",
-                    p.unit,
-                    float(before.starts[r][at]),
-                    value,
-                    own_before,
-                    own_after,
-                    min(value - p.low, p.high - value) < reach,
-                )
-            )
-    return rows
+            own = [(fit.starts[r][at], np.diag(cov)[fit.theta.size + c]) for fit, cov in fits]
+            rows.append(_row(f"{name} of {record.name}", p, own))
+    return tuple(rows)
+
+
+def _row(name: str, p: P, fitted: Sequence[tuple[float, float]]) -> ParameterRow:
+    """Return a parameter by its values and variances before and after."""
+    (before, after), (before_stderr, after_stderr) = zip(
+        *((float(value), float(np.sqrt(max(variance, 0.0)))) for value, variance in fitted),
+        strict=True,
+    )
+    at_bound = min(after - p.low, p.high - after) < AT_BOUND * (p.high - p.low)
+    return ParameterRow(name, p.unit, before, after, before_stderr, after_stderr, at_bound)
 
 
 def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, ...]:

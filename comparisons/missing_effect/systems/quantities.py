@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.covariance import largest_correlation, sandwich
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
@@ -20,9 +21,6 @@ from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.types import FloatArray
 
-# Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
-# number in such directions from which on it is not reported.
-LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
 POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE: 1, Term.GAP: 1}
@@ -65,28 +63,15 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
             score[at] = part.T @ error[rows].ravel()
             scores.append(score)
         normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
-    bread = np.array(scores)
-    spread = bread.T @ bread * len(scores) / max(len(scores) - 1, 1)
+    spread, blind = sandwich(normal, np.array(scores))
+    spread[blind, blind] = np.inf
     model = fit.structure.model
     of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
     kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
     at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
     whole = np.zeros((at.size + fit.theta.size - m,) * 2)
-    whole[np.ix_(at, at)] = _sandwich(normal, spread)[np.ix_(kept, kept)]
+    whole[np.ix_(at, at)] = spread[np.ix_(kept, kept)]
     return whole
-
-
-def _sandwich(normal: FloatArray, spread: FloatArray) -> FloatArray:
-    """Return the sandwich; infinite variances where the rows do not tell a number at all."""
-    unit = np.sqrt(np.diag(normal))
-    unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(normal * np.outer(unit, unit))
-    known = values > LEAST_INFORMATION * values[-1]
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(unit, unit)
-    out = np.asarray(inverse @ spread @ inverse)
-    blind = np.flatnonzero(np.sum(vectors[:, ~known] ** 2, axis=1) > BLIND_SHARE)
-    out[blind, blind] = np.inf
-    return out
 
 
 def numbers_of(
@@ -142,12 +127,7 @@ def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
     index = [e.key for e in fit.structure.effects].index(placed.key)
     first = len(model.params) + len(model.inputs) + SLOTS * index
     at = first + np.flatnonzero([not held for held in placed.held])
-    size = np.diag(cov)[at]
-    at, size = at[(size > 0.0) & np.isfinite(size)], size[(size > 0.0) & np.isfinite(size)]
-    if at.size < 2:
-        return 0.0
-    apart = np.triu(cov[np.ix_(at, at)] / np.sqrt(np.outer(size, size)), 1).ravel()
-    return float(apart[np.argmax(np.abs(apart))])
+    return largest_correlation(cov[np.ix_(at, at)])
 
 
 def _balanced(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import Placed
@@ -24,6 +25,8 @@ from surge_core.types import FloatArray
 LAID_TOGETHER = 16
 # A column that keeps less than this share of itself beside what is fitted already says nothing.
 LEAST_OWN_SHARE = 1e-6
+# Directions of what is fitted already that are no rounding.
+LEAST_BASIS = 1e-9
 # Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
 # fewest blocks of a run.
 FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 1000, 0.99, 20, 12
@@ -288,11 +291,7 @@ class Prober:
             row[:, :m] = white[:, :m]
             row[:, m + n_x * r : m + n_x * (r + 1)] = white[:, m:]
             blocks.append(row)
-        joined = np.concatenate(blocks)
-        size = np.linalg.norm(joined, axis=0)
-        kept = joined[:, size > 0.0] / size[size > 0.0]
-        left, values, _ = np.linalg.svd(kept, full_matrices=False)
-        return np.asarray(left[:, values > 1e-9 * values[0]])
+        return orthonormal(np.concatenate(blocks), LEAST_BASIS, 0.0)
 
 
 def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
