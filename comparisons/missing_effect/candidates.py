@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.engine import Candidate, Laid, Policy, Round, System, Weigher
+from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Rows, Tie
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
@@ -27,6 +28,8 @@ from surge_core.types import FloatArray
 LEAST_PROMISE = 6.0
 LEAST_PROMISE_SHARE = 0.01
 MOST_OPEN_FITS = 3
+# Second effects that are tried beside a first one.
+PAIR_TAILS = 3
 # A ripple brings two columns an episode, and the best of many frequencies always looks like
 # something: it is fitted when it is no chance, and not a part of what another explains better.
 LARGEST_CHANCE = 0.01
@@ -77,12 +80,12 @@ class Bench(System[Effect, Fit]):
         data: LagData,
         structure: Structure,
         metric: Metric,
-        nonlinear: FloatArray,
+        starts: Sequence[FloatArray],
         block_rows: int,
         n_names: int,
     ) -> Self:
-        """Fit a model and set it on the bench."""
-        fit = fit_structure(structure, data.train, metric.on(data.train_rows), [nonlinear])
+        """Fit a model from the best of several starts, and set it on the bench."""
+        fit = fit_structure(structure, data.train, metric.on(data.train_rows), starts)
         return cls(data, fit, metric, block_rows, n_names).with_states()
 
     def with_states(self) -> Self:
@@ -99,7 +102,7 @@ class Bench(System[Effect, Fit]):
         """The metric on what is fitted."""
         return self.metric.on(self.data.train_rows)
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
         """Parts and blocks in the metric."""
         return Rows.of(self.data.part, self.metric.rows(self.data) > 0.0, self.block_rows)
@@ -108,9 +111,10 @@ class Bench(System[Effect, Fit]):
         """Return the score tests against the model."""
         return Prober(self.fit, self.train, self.train_metric)
 
-    def errors(self, fit: Fit) -> FloatArray:
-        """Return whitened errors of a fit on all rows."""
-        return errors_on(fit, with_own_state(self.data, fit), self.metric)[0]
+    @cached_property
+    def base_errors(self) -> FloatArray:
+        """Whitened errors of the model on all rows."""
+        return self.errors_of(self.fit)[0]
 
     def promising(self, probes: Sequence[Probe], most: int | None = None) -> list[Probe]:
         """Return the probes that are worth a fit, best first."""
@@ -159,13 +163,7 @@ class Bench(System[Effect, Fit]):
         return replace(self, data=data, fit=fit)
 
     def refitted(self, fit: Fit) -> Fit:
-        """Return a model fitted again to what this bench fits.
-
-        Parameters
-        ----------
-        fit : Fit
-            Where to start.
-        """
+        """Return a model fitted again to what this bench fits."""
         metric = self.train_metric
         data = with_own_state(self.train, fit)
         start = fit.structure.adapted(data, fit.nonlinear)
@@ -204,31 +202,25 @@ class Bench(System[Effect, Fit]):
         fit = fit_structure(structure, self.train, self.train_metric, [nonlinear])
         return replace(self, fit=fit).with_states()
 
-    def laid(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Laid:
-        """Test each effect that the model has not by its score."""
-        prober, present = self.prober(), set(self.fit.structure.names)
+    def tried(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Tried[Effect, Fit]:
+        """Fit all that promises something to the end, in the metric of the best."""
+        prober, present = self.prober(), self.fit.structure.names
         named, terms = (
             [prober.probe(effect) for effect in some if effect.name not in present]
             for some in (effects, library)
         )
-        return Laid(effects, [*self.promising(named), *self.promising(terms, MOST_OPEN_FITS)])
-
-    def raced(self, laid: Laid) -> list[tuple[Probe, Fit]]:
-        """Fit all that is promising to the end: that takes milliseconds."""
-        return [(probe, self.fitted(probe)) for probe in laid.promising]
-
-    def weigher(self, laid: Laid, fits: Sequence[tuple[Probe, Fit]]) -> tuple[Bench, LagWeigher]:
-        """Take the noise from the best candidate's errors."""
+        probes = [*self.promising(named), *self.promising(terms, MOST_OPEN_FITS)]
+        fits = [self.fitted(probe) for probe in probes]
         price = 0.5 * float(np.log(self.train.n_samples))
-        best = min(
-            [fit for _, fit in fits] + [self.fit],
-            key=lambda fit: fit.cost + price * fit.n_parameters,
-        )
-        noise = self.noise(self._with_ripple(best, laid.effects))
+        best = min([*fits, self.fit], key=lambda fit: fit.cost + price * fit.n_parameters)
+        noise = self.noise(self._with_ripple(best, effects))
         moved = self.in_metric_of(best, noise)
         was_white = self.metric.ar.size == 0 and self.metric.flow is None
-        again = noise.coloured or noise.heavy_tailed or not was_white
-        return moved, LagWeigher.of(moved, again=again)
+        if noise.coloured or noise.heavy_tailed or not was_white:
+            own = [(fit.nonlinear[self.fit.nonlinear.size :],) for fit in fits]
+            again = [replace(p, starts=start) for p, start in zip(probes, own, strict=True)]
+            fits = [moved.fitted(probe) for probe in again]
+        return Tried(moved, [p.candidate(f) for p, f in zip(probes, fits, strict=True)])
 
     def _with_ripple(self, best: Fit, effects: Sequence[Effect]) -> Fit:
         """Return the best fit with a ripple beside it where its errors hold one.
@@ -243,11 +235,41 @@ class Bench(System[Effect, Fit]):
         least = probe.degrees * np.log(self.train.n_samples)
         return moved.fitted(probe) if probe.chance < LEFTOVER_P and probe.gain > least else best
 
+    def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
+        """Return whitened errors on all rows, and what phases fitted there cost."""
+        return errors_on(fit, with_own_state(self.data, fit), self.metric)
+
+    def searched(self, added: Sequence[Effect]) -> float:
+        """Return how many trials the search for effects was worth, all names counted."""
+        return float(np.prod([effect.searched * self.n_names for effect in added]))
+
+    def judged(self, candidate: LagCandidate) -> LagCandidate:
+        """Return a candidate with whether τ ran to the end of its search; not ranked yet."""
+        fit = candidate.fit
+        evidence = replace(candidate.evidence, at_end=fit.structure.at_end(fit.nonlinear))
+        return replace(candidate, evidence=evidence, rank=-np.inf)
+
+    def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
+        """Fit what is still in the running to all rows; return all, best first.
+
+        Accepted candidates are ranked by the log-units that they win on all rows, less half log n
+        a number. Held-out gains decide whether a name is accepted, not which one: of two right
+        forms the one with more freedom would lose where few fitted rows lay.
+        """
+        accepted = [c.evidence.score for c in candidates if c.accepted]
+        least = RUNNING_SHARE * max(accepted, default=np.inf)
+        every: Bench | None = None
+        out = []
+        for c in candidates:
+            runs = c.accepted and c.evidence.score >= least
+            every = self.everywhere() if runs and every is None else every
+            out.append(_on_all_rows(every, c) if runs and every is not None else c)
+        return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
+
     def second(
         self,
         head: LagCandidate,
         effects: Sequence[Effect],
-        most: int,
         known: Collection[frozenset[Hashable]],
     ) -> list[LagCandidate]:
         """Return a candidate with each second effect that its errors ask for."""
@@ -256,8 +278,8 @@ class Bench(System[Effect, Fit]):
         probes = [prober.probe(e) for e in effects if e.name not in there.fit.structure.names]
         return [
             Candidate((first, probe.effect), there.fitted(probe))
-            for probe in there.promising(probes, most)
-            if head.keys | probe.key not in known
+            for probe in there.promising(probes, PAIR_TAILS)
+            if head.keys | {probe.effect.key} not in known
         ]
 
     def leftover(
@@ -286,81 +308,16 @@ class Bench(System[Effect, Fit]):
     ) -> tuple[LagCandidate, ...]:
         """Take one effect out of the model and see which others would do in its place."""
         without = self.without(one)
-        weigher, prober = LagWeigher.of(without), without.prober()
-        present = without.fit.structure.names
+        prober, present = without.prober(), without.fit.structure.names
         names = [one] if one.unnamed else [e for e in effects if e.name not in present]
         probes = without.promising([prober.probe(e) for e in names])
-        tried = [weigher.weighed(weigher.candidate(p, without.fitted(p))) for p in probes]
-        accepted = [c for c in weigher.ranked(tried) if c.accepted]
+        tried = [without.weighed(p.candidate(without.fitted(p))) for p in probes]
+        accepted = [c for c in without.ranked(tried) if c.accepted]
         own = next((c for c in accepted if c.name == one.name), None)
         if own is None:
             return ()
         others = [c for c in accepted if c is not own and min(c.rank, own.rank) > -np.inf]
-        return (own, *weigher.near(own, others, self.policy.alias))
-
-
-@dataclass(frozen=True, eq=False)
-class LagWeigher(Weigher[Effect, Fit]):
-    """A lag model in the metric of a round, against which candidates are weighed.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model.
-    again : bool
-        Whether what the race fitted is fitted once more, in this metric.
-    """
-
-    bench: Bench
-    again: bool
-    rows: Rows
-    base: Fit
-    base_errors: FloatArray
-    policy: Policy
-
-    @classmethod
-    def of(cls, bench: Bench, *, again: bool = False) -> Self:
-        """Take the errors of the model on all rows."""
-        fit = bench.fit
-        return cls(bench, again, bench.rows, fit, bench.errors(fit), bench.policy)
-
-    def candidate(self, probe: Probe, fit: Fit) -> LagCandidate:
-        """Return what came out of the race, fitted in the metric of the round."""
-        if self.again:
-            own = fit.nonlinear[self.base.nonlinear.size :]
-            fit = self.bench.fitted(replace(probe, starts=(own,)))
-        return Candidate(probe.added, fit, promised=probe.gain)
-
-    def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
-        """Return whitened errors on all rows, and what phases fitted there cost."""
-        return errors_on(fit, with_own_state(self.bench.data, fit), self.bench.metric)
-
-    def searched(self, added: Sequence[Effect]) -> float:
-        """Return how many trials the search for effects was worth, all names counted."""
-        return float(np.prod([effect.searched * self.bench.n_names for effect in added]))
-
-    def judged(self, candidate: LagCandidate) -> LagCandidate:
-        """Return a candidate with whether τ ran to the end of its search; not ranked yet."""
-        fit = candidate.fit
-        evidence = replace(candidate.evidence, at_end=fit.structure.at_end(fit.nonlinear))
-        return replace(candidate, evidence=evidence, rank=-np.inf)
-
-    def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
-        """Fit what is still in the running to all rows; return all, best first.
-
-        Accepted candidates are ranked by the log-units that they win on all rows, less half log n
-        a number. Held-out gains decide whether a name is accepted, not which one: of two right
-        forms the one with more freedom would lose where few fitted rows lay.
-        """
-        accepted = [c.evidence.score for c in candidates if c.accepted]
-        least = RUNNING_SHARE * max(accepted, default=np.inf)
-        every: Bench | None = None
-        out = []
-        for c in candidates:
-            runs = c.accepted and c.evidence.score >= least
-            every = self.bench.everywhere() if runs and every is None else every
-            out.append(_on_all_rows(every, c) if runs and every is not None else c)
-        return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
+        return (own, *without.near(own, others, self.policy.alias))
 
 
 def _on_all_rows(every: Bench, candidate: LagCandidate) -> LagCandidate:
@@ -400,15 +357,7 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
 
 
 def slope_of(fit: Fit, data: LagData) -> FloatArray:
-    """Return the slope of the base characteristic at each sample, of shape (n,).
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    data : LagData
-        The rows.
-    """
+    """Return the slope of the base characteristic at each sample, of shape (n,)."""
     phi, terms = data.sampled(data["phi"]), list(fit.structure.terms)
     step = 1e-4 * max(float(np.ptp(phi)), 1e-6)
     ahead, behind = evaluate_terms(terms, phi + step), evaluate_terms(terms, phi - step)

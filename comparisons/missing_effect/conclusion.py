@@ -89,7 +89,7 @@ def concluded(
     missing = []
     for effect in final.found:
         numbers, members = values[effect.name], sets[effect.name]
-        evidence = evidence_numbers(members[0]) if members else {}
+        evidence = _evidence_numbers(members[0]) if members else {}
         why: tuple[str, ...] = ()
         if not effect.unnamed:
             evidence[SIZE] = size_in_errors(effect, after, final)
@@ -125,21 +125,7 @@ def missing_effect(
     evidence: Mapping[str, float],
     doubts: tuple[str, ...] = (),
 ) -> MissingEffect:
-    """Return an effect that a lag model lacks.
-
-    Parameters
-    ----------
-    effect : Effect
-        What was found.
-    members : sequence of Effect
-        Its alias set, it first.
-    parameters : tuple of FittedParameter
-        Its numbers.
-    evidence : mapping of str to float
-        What speaks for it.
-    doubts : tuple of str
-        Why the name is not firm; empty where it is.
-    """
+    """Return an effect that a lag model lacks."""
     letters = letters_of(effect)
     return MissingEffect(
         effect.name,
@@ -221,14 +207,8 @@ def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]
     return out
 
 
-def evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
-    """Return the evidence of a candidate by name.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        Weighed.
-    """
+def _evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
+    """Return the evidence of a candidate by name."""
     e = candidate.evidence
     numbers = {
         "train_gain": e.train,

@@ -39,13 +39,7 @@ def sandwich(normal: FloatArray, scores: FloatArray) -> tuple[FloatArray, BoolAr
 
 
 def largest_correlation(covariance: FloatArray) -> float:
-    """Return the largest correlation of two of several numbers; 0 where no two are known.
-
-    Parameters
-    ----------
-    covariance : ndarray of shape (m, m)
-        Of the numbers.
-    """
+    """Return the largest correlation of two of several numbers; 0 where no two are known."""
     variance = np.diag(covariance)
     at = np.flatnonzero((variance > 0.0) & np.isfinite(variance))
     if at.size < 2:

@@ -36,19 +36,8 @@ BESIDE_A_TERM = "a term without a name had to stand beside it"
 NO_SMALLER = "it makes the error on held-out rows no smaller"
 
 
-def polynomial_terms(degree: int) -> tuple[str, ...]:
-    """Return the names of the powers of φ up to a degree.
-
-    Parameters
-    ----------
-    degree : int
-        From 1 on.
-
-    Raises
-    ------
-    InputError
-        For a degree that is no characteristic.
-    """
+def _polynomial_terms(degree: int) -> tuple[str, ...]:
+    """Return the names of the powers of φ up to a degree."""
     if not 1 <= degree <= 8:
         raise InputError("degree", expected="1 to 8", found=f"{degree}")
     return ("1", "phi", *(f"phi^{k}" for k in range(2, degree + 1)))
@@ -89,7 +78,7 @@ def diagnose(
     InputError
         When the records do not go together or hold too few rows.
     """
-    base = tuple(terms) if terms is not None else polynomial_terms(degree)
+    base = tuple(terms) if terms is not None else _polynomial_terms(degree)
     if most_effects < 1:
         raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
     if records and all(map(is_whole, records)):
@@ -112,19 +101,7 @@ def diagnose_data(
     catalogue: Sequence[Effect] = CATALOGUE,
     most_effects: int = MOST_EFFECTS,
 ) -> LagDiagnosis:
-    """Diagnose rows that were loaded before; see :func:`diagnose`.
-
-    Parameters
-    ----------
-    data : LagData
-        Rows, split into fitted and held out.
-    terms : sequence of str
-        Terms of the base characteristic.
-    catalogue : sequence of Effect
-        Names that compete.
-    most_effects : int
-        At most so many are added.
-    """
+    """Diagnose rows that were loaded before; see :func:`diagnose`."""
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
     effects = [e for e in catalogue if e.name not in unavailable]
     base = first_bench(data, tuple(terms), len(effects))
@@ -135,31 +112,14 @@ def diagnose_data(
 
 
 def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
-    """Fit the base model and put it on the bench, in the metric of its own errors.
-
-    Parameters
-    ----------
-    data : LagData
-        Rows.
-    terms : tuple of str
-        Of the characteristic.
-    n_names : int
-        Names that compete.
-    """
+    """Fit the base model and put it on the bench, in the metric of its own errors."""
     metric = Metric(max(1e-2 * float(np.std(data.measured)), 1e-12))
-    starts = [np.array([np.log(tau)]) for tau in _tau_starts(data)]
-    benches = [
-        Bench.start(data, Structure(terms), metric, start, block_rows(data), n_names)
-        for start in starts
-    ]
-    best = min(benches, key=lambda bench: bench.fit.cost)
+    span_s = max(int(b - a) for a, b in data.runs) * data.sample_period_s
+    taus_s = 2.0 * data.sample_period_s, min(10.0 * data.sample_period_s, 0.2 * span_s)
+    starts = [np.array([np.log(tau_s)]) for tau_s in taus_s]
+    best = Bench.start(data, Structure(terms), metric, starts, block_rows(data), n_names)
     noise = best.noise(best.fit)
     return best.in_metric_of(best.fit, replace(noise, ar=(), innovation=noise.sigma))
-
-
-def _tau_starts(data: LagData) -> tuple[float, ...]:
-    span = max(int(b - a) for a, b in data.runs) * data.sample_period_s
-    return (2.0 * data.sample_period_s, min(10.0 * data.sample_period_s, 0.2 * span))
 
 
 def _concluded(

@@ -1,7 +1,7 @@
-"""What the search works on: a system and its policy, candidates, what weighs them, and rounds.
+"""What the search works on: a system and its policy, candidates, and rounds.
 
 A system is a model that stands so far, with its records: a lag series, whole runs from counts, or
-a user's own model. It lays effects along its run, fits and weighs; everything else is one search
+a user's own model. It lays effects along its run and fits them; everything else is one search
 (`search.search`) for all of them, whose rules are one and whose measured numbers are the policy's.
 """
 
@@ -81,7 +81,7 @@ class Policy:
         Whether terms without a name stand beside another.
     refused_stand : bool
         Whether what is not accepted by itself may stand beside what is.
-    rival_share : float
+    rival_share : float, optional
         What explains this share of what the winner explains, elsewhere, is a rival.
     further_share, further_raw : float
         What an effect beyond the first must explain: of the squared whitened errors, or of the
@@ -98,7 +98,7 @@ class Policy:
     plain_speaks: bool = False
     terms_stand: bool = False
     refused_stand: bool = False
-    rival_share: float = np.inf
+    rival_share: float | None = None
     further_share: float = 0.0
     further_raw: float = 0.0
     stops_clean: bool = False
@@ -178,22 +178,42 @@ class Candidate(Generic[A, F]):
         return self.slow > 0.0 and won and len(self.added) == 1
 
 
-class Weigher(ABC, Generic[A, F]):
-    """The model without candidates in the metric of a round, and its rows."""
+class System(ABC, Generic[A, F]):
+    """A model that stands so far, on its records, in the metric in which candidates are weighed."""
 
     policy: Policy
-    rows: Rows
-    base: F
-    base_errors: FloatArray
+    fit: Any
 
     @property
-    def order(self) -> Mapping[str, int]:
-        """Places of the names in the catalogue, where that decides between equals."""
-        return {}
+    def found(self) -> tuple[A, ...]:
+        """What was added to the model."""
+        added: tuple[A, ...] = self.fit.structure.effects
+        return added
+
+    @property
+    def failed(self) -> bool:
+        """Whether the model could not be simulated."""
+        return False
+
+    @property
+    def base(self) -> F:
+        """The model, fitted in the metric."""
+        own: F = self.fit
+        return own
+
+    @property
+    @abstractmethod
+    def base_errors(self) -> FloatArray:
+        """Its whitened errors on all rows."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> Rows:
+        """Which rows are fitted and held out, and their blocks."""
 
     @abstractmethod
-    def candidate(self, probe: Any, fit: F) -> Candidate[A, F]:
-        """Return what came out of the race, fitted in the metric of the round."""
+    def tried(self, effects: Sequence[Any], library: Sequence[Any]) -> Tried[A, F]:
+        """Lay effects along the run, race what promises, and fit in the metric of the best."""
 
     @abstractmethod
     def errors_of(self, fit: F) -> tuple[FloatArray, tuple[float, float]]:
@@ -202,6 +222,14 @@ class Weigher(ABC, Generic[A, F]):
     @abstractmethod
     def searched(self, added: Sequence[A]) -> float:
         """Return how many independent trials the search for something was worth."""
+
+    @abstractmethod
+    def with_winner(self, step: Round[A, F]) -> System[A, F]:
+        """Return the model with what a round found."""
+
+    @abstractmethod
+    def without_needless(self, one: A) -> System[A, F] | None:
+        """Return the model without something it has, fitted again, if it can do without."""
 
     def judged(self, candidate: Candidate[A, F]) -> Candidate[A, F]:
         """Return a weighed candidate with what this kind of system says of it beside."""
@@ -220,14 +248,34 @@ class Weigher(ABC, Generic[A, F]):
         ties = alias_rows(self.rows, self.base_errors, errors, ranks, tie)
         return [c for c, same in zip(others, ties[1:], strict=True) if same]
 
-    def weighed(self, candidate: Candidate[A, F]) -> Candidate[A, F]:
-        """Return a candidate with its evidence, against the model without it.
+    def second(
+        self, head: Candidate[A, F], effects: Sequence[Any], known: Collection[frozenset[Hashable]]
+    ) -> list[Candidate[A, F]]:
+        """Return a candidate with each second effect that its errors ask for, not weighed."""
+        return []
 
-        Parameters
-        ----------
-        candidate : Candidate
-            Fitted in this metric.
-        """
+    def leftover(
+        self, winner: Candidate[A, F] | None, effects: Sequence[Any], library: Sequence[Any]
+    ) -> Any:
+        """Return what the model leaves with a winner; None where that is tested at the end."""
+        return None
+
+    def stand_ins(
+        self, one: A, step: Round[A, F] | None, effects: Sequence[Any]
+    ) -> tuple[Candidate[A, F], ...]:
+        """Return what could stand in the place of something that was found, it first."""
+        return () if step is None else step.aliases
+
+    def rejected(self, winner: Candidate[A, F], rival: Candidate[A, F]) -> float:
+        """Return the chance of a winner's advantage if its rival were the truth."""
+        raise NotImplementedError
+
+    def held_out_size(self) -> float:
+        """Return the plain error on held-out rows."""
+        raise NotImplementedError
+
+    def weighed(self, candidate: Candidate[A, F]) -> Candidate[A, F]:
+        """Return a candidate, fitted in this metric, with its evidence against the model."""
         errors, phases = self.errors_of(candidate.fit)
         evidence = evidence_of(
             self.rows,
@@ -244,98 +292,25 @@ class Weigher(ABC, Generic[A, F]):
 
 
 @dataclass(frozen=True, eq=False)
-class Laid:
-    """Effects laid along the run of a model, and what they promise to first order.
+class Tried(Generic[A, F]):
+    """What came out of a race.
 
     Parameters
     ----------
-    effects : sequence
-        Names.
-    promising : sequence
-        What is worth a fit, each with its ``added``, ``key`` and ``gain``.
-    every : sequence
-        All, where those that are not fitted are listed too.
+    system : System
+        The model in the metric of the best.
+    candidates : sequence of Candidate
+        Fitted in that metric, not weighed yet.
+    others : sequence of Candidate
+        Those that promised too little, where they are listed too.
     refused : mapping of str to str
         Effects that no signal can show, and why.
     """
 
-    effects: Sequence[Any]
-    promising: Sequence[Any]
-    every: Sequence[Any] = ()
+    system: Any
+    candidates: Sequence[Candidate[A, F]]
+    others: Sequence[Candidate[A, F]] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
-
-
-class System(ABC, Generic[A, F]):
-    """A model that stands so far, and its records."""
-
-    policy: Policy
-    fit: Any
-
-    @property
-    def found(self) -> tuple[A, ...]:
-        """What was added to the model."""
-        added: tuple[A, ...] = self.fit.structure.effects
-        return added
-
-    @property
-    def failed(self) -> bool:
-        """Whether the model could not be simulated."""
-        return False
-
-    @abstractmethod
-    def laid(self, effects: Sequence[Any], library: Sequence[Any]) -> Laid:
-        """Lay effects along the run of the model, all but those that it has."""
-
-    @abstractmethod
-    def raced(self, laid: Laid) -> list[tuple[Any, F]]:
-        """Fit what is promising, as far as it stays in the race."""
-
-    @abstractmethod
-    def weigher(
-        self, laid: Laid, fits: Sequence[tuple[Any, F]]
-    ) -> tuple[System[A, F], Weigher[A, F]]:
-        """Take the metric of the best of all fits; return the model in it, and what weighs."""
-
-    @abstractmethod
-    def with_winner(self, step: Round[A, F]) -> System[A, F]:
-        """Return the model with what a round found."""
-
-    @abstractmethod
-    def without_needless(self, one: A) -> System[A, F] | None:
-        """Return the model without something it has, fitted again, if it can do without."""
-
-    def second(
-        self,
-        head: Candidate[A, F],
-        effects: Sequence[Any],
-        most: int,
-        known: Collection[frozenset[Hashable]],
-    ) -> list[Candidate[A, F]]:
-        """Return a candidate with each second effect that its errors ask for, not weighed."""
-        return []
-
-    def leftover(
-        self,
-        winner: Candidate[A, F] | None,
-        effects: Sequence[Any],
-        library: Sequence[Any],
-    ) -> Any:
-        """Return what the model leaves with a winner; None where that is tested at the end."""
-        return None
-
-    def stand_ins(
-        self, one: A, step: Round[A, F] | None, effects: Sequence[Any]
-    ) -> tuple[Candidate[A, F], ...]:
-        """Return what could stand in the place of something that was found, it first."""
-        return () if step is None else step.aliases
-
-    def rejected(self, winner: Candidate[A, F], rival: Candidate[A, F], weigher: Any) -> float:
-        """Return the chance of a winner's advantage if its rival were the truth."""
-        raise NotImplementedError
-
-    def held_out_size(self) -> float:
-        """Return the plain error on held-out rows."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)

@@ -235,17 +235,7 @@ def block_sums(gain: FloatArray, rows: Rows, *parts: int) -> FloatArray:
 
 
 def paired_z(gain: FloatArray, rows: Rows, *parts: int) -> float:
-    """Return the mean gain of the blocks of some parts over its standard error.
-
-    Parameters
-    ----------
-    gain : ndarray of shape (n,)
-        Log-units of each row.
-    rows : Rows
-        Blocks.
-    *parts : int
-        Which parts.
-    """
+    """Return the mean gain of the blocks of some parts over its standard error."""
     sums = block_sums(gain, rows, *parts)
     if sums.size < 2:
         return 0.0
@@ -294,15 +284,7 @@ def alias_rows(
 
 
 def cosine_of(rows: Rows, base: FloatArray, one: FloatArray, other: FloatArray) -> float:
-    """Return how alike two models correct one without either: the cosine of their corrections.
-
-    Parameters
-    ----------
-    rows : Rows
-        Which count.
-    base, one, other : ndarray of shape (n,)
-        Whitened errors of the model without either, and of both.
-    """
+    """Return how alike two models correct one without either: the cosine of their corrections."""
     first, second = (base - one)[rows.valid], (base - other)[rows.valid]
     size = float(np.linalg.norm(first) * np.linalg.norm(second))
     return float(first @ second) / size if size > 0.0 else 0.0

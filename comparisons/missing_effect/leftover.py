@@ -92,7 +92,7 @@ def leftover_of(
     ]
     searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
     few = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
-    uneven = unevenness(prober, part)
+    uneven = _unevenness(prober, part)
     apart = min((p.chance for p in searched), default=1.0)
     if prober.metric.flow is not None and few:
         # Many smooth terms together make up the difference between a noisy φ and a smooth one,
@@ -111,16 +111,8 @@ def _chi2(gain: float, degrees: int) -> float:
     return float(chi2.sf(2.0 * gain, degrees)) if degrees else 1.0
 
 
-def unevenness(prober: Prober, part: NDArray[np.int8]) -> float:
-    """Return by how many standard errors held-out rows are noisier, by a fit to all.
-
-    Parameters
-    ----------
-    prober : Prober
-        With all rows fitted.
-    part : ndarray of int, shape (n,)
-        What was fitted and held out before.
-    """
+def _unevenness(prober: Prober, part: NDArray[np.int8]) -> float:
+    """Return by how many standard errors held-out rows are noisier, by a fit to all."""
     errors = prober.fit.errors(prober.data, prober.metric)
     valid = prober.metric.rows(prober.data) > 0.0
     fitted, held = errors[valid & (part == TRAIN)] ** 2, errors[valid & (part != TRAIN)] ** 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench, LagCandidate, LagWeigher
+from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
@@ -301,7 +301,7 @@ class _Drill:
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
         metric = self.planter.source.noise.metric().on(np.arange(data.n_samples))
         bench = Bench.start(
-            data, fit.structure, metric, fit.nonlinear, block_rows(data), len(self.catalogue)
+            data, fit.structure, metric, [fit.nonlinear], block_rows(data), len(self.catalogue)
         )
         probe = bench.prober().probe(effect)
         if not probe.starts:
@@ -313,7 +313,7 @@ class _Drill:
             own = candidate.nonlinear[bench.fit.nonlinear.size :]
             candidate = bench.fitted(replace(probe, starts=(own,)))
         alone = LagCandidate((effect,), candidate)
-        return LagWeigher.of(bench).weighed(alone).accepted
+        return bench.weighed(alone).accepted
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)

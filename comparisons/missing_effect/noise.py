@@ -163,17 +163,7 @@ def _with_flow_noise(
 
 
 def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArray | None:
-    """Return the factors that let large errors count in proportion; None where none are needed.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Of the best model.
-    noise : NoiseModel
-        Its noise.
-    data : LagData
-        Their runs.
-    """
+    """Return the factors that let large errors count in proportion; None where none are needed."""
     if not noise.heavy_tailed:
         return None
     z = np.abs(noise.metric().whitened(errors, data))

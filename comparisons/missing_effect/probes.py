@@ -10,6 +10,7 @@ import numpy as np
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.engine import Candidate
 from comparisons.missing_effect.fit import Fit, Solution, slope_of_starts, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
@@ -47,15 +48,9 @@ class Probe:
     starts: tuple[FloatArray, ...]
     columns: FloatArray
 
-    @property
-    def added(self) -> tuple[Effect]:
-        """The effect."""
-        return (self.effect,)
-
-    @property
-    def key(self) -> frozenset[str]:
-        """What makes it the same as another."""
-        return frozenset({self.effect.name})
+    def candidate(self, fit: Fit) -> Candidate[Effect, Fit]:
+        """Return a model with the effect, fitted and not weighed yet."""
+        return Candidate((self.effect,), fit, promised=self.gain)
 
     @property
     def chance(self) -> float:
@@ -193,7 +188,7 @@ class Prober:
             episodes = stall_episodes(self.data, float(gate))
             if not episodes:
                 continue
-            frequency, power = episode_spectrum(self.errors, episodes, self.data)
+            frequency, power = _episode_spectrum(self.errors, episodes, self.data)
             best = int(np.argmax(power))
             # Two numbers an episode: what white errors would give on the average is their count.
             found.append((float(power[best]), len(episodes), np.array([frequency[best], gate])))
@@ -204,20 +199,10 @@ class Prober:
         return Probe(effect, gain, 2 * count, (start,), np.zeros((self.data.n_samples, 0)))
 
 
-def episode_spectrum(
+def _episode_spectrum(
     errors: FloatArray, episodes: Sequence[slice], data: LagData
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies and the log-units that a sine of free phase in each episode would win.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        White, of unit variance.
-    episodes : sequence of slice
-        Stretches of rows.
-    data : LagData
-        Sample period and length of the average, above whose band nothing is left.
-    """
+    """Return frequencies and the log-units that a sine of free phase in each episode would win."""
     longest = max(e.stop - e.start for e in episodes)
     size = int(2 ** np.ceil(np.log2(FINER * longest)))
     power = np.zeros(size // 2 + 1)

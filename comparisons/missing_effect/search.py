@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.engine import A, Candidate, F, Round, System, Weigher
+from comparisons.missing_effect.engine import A, Candidate, F, Round, System
 from comparisons.missing_effect.evidence import cosine_of, paired_z
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.results import MissingEffect
@@ -26,7 +26,7 @@ RIVALLED = 12.0
 SIMPLE_SHARE = 0.9
 # Two effects at once must beat one by so much, and are looked for behind so many.
 PAIR_GAP, PAIR_Z = 6.0, 3.0
-PAIR_HEADS, PAIR_TAILS = 3, 3
+PAIR_HEADS = 3
 # Or leave this share of what the single one leaves.
 PAIR_LEFT = 0.5
 
@@ -96,39 +96,33 @@ def search_round(
     room : int
         At most so many are added.
     """
-    laid = system.laid(effects, library)
-    fits = [(probe, fit) for probe, fit in system.raced(laid) if len(probe.added) <= room]
-    bench, weigher = system.weigher(laid, fits)
-    tried = [weigher.weighed(weigher.candidate(probe, fit)) for probe, fit in fits]
-    raced = {probe.key for probe, _ in fits}
-    ranked = weigher.ranked(tried)
-    winner, aliases, rivalled = _winner(weigher, ranked)
+    race = system.tried(effects, library)
+    bench: System[A, F] = race.system
+    ranked = bench.ranked([bench.weighed(c) for c in race.candidates if len(c.added) <= room])
+    order = [effect.name for effect in (*effects, *library)]
+    winner, aliases, rivalled = _winner(bench, ranked, order)
     left = bench.leftover(winner, effects, library)
     pairs: tuple[Candidate[A, F], ...] = ()
     if left is not None and left.structured and room > 1:
-        pairs = weigher.ranked(_pairs(bench, weigher, ranked, effects))
+        pairs = bench.ranked(_pairs(bench, ranked, effects))
         best = next((pair for pair in pairs if pair.accepted), None)
-        if best is not None and _is_better(weigher, best, winner, ranked):
+        if best is not None and _is_better(bench, best, winner, ranked):
             after = bench.leftover(best, effects, library)
             if after.gain < PAIR_LEFT * left.gain or not after.structured:
                 winner, aliases, left = best, (best,), after
-    unfitted = [
-        Candidate(probe.added, system.fit, promised=probe.gain)
-        for probe in laid.every
-        if probe.key not in raced
-    ]
-    step = Round(bench, (*ranked, *pairs, *unfitted), winner, aliases, laid.refused, left, rivalled)
-    return step if winner is None else _held_against(step, winner, weigher)
+    every = (*ranked, *pairs, *race.others)
+    step = Round(bench, every, winner, aliases, race.refused, left, rivalled)
+    return step if winner is None else _held_against(step, winner, bench)
 
 
 def _winner(
-    weigher: Weigher[A, F], ranked: Sequence[Candidate[A, F]]
+    system: System[A, F], ranked: Sequence[Candidate[A, F]], order: Sequence[str]
 ) -> tuple[Candidate[A, F] | None, tuple[Candidate[A, F], ...], bool]:
     """Return what is added, its alias set, and whether a term without a name does better.
 
     The best must win more than chance; which of those beside it is meant is another question.
     """
-    policy = weigher.policy
+    policy = system.policy
     standing = [c for c in ranked if c.evidence.stands]
     best = max((c for c in standing if c.accepted), key=lambda c: c.rank, default=None)
     if best is None:
@@ -138,8 +132,8 @@ def _winner(
     rivalled = False
     if best.unnamed:
         # A name speaks wherever the records cannot tell it from a term without one.
-        beside = weigher.near(best, names, policy.term)
-        beside += [c for c in names if _corrects_the_same(weigher, c, best)]
+        beside = system.near(best, names, policy.term)
+        beside += [c for c in names if _corrects_the_same(system, c, best)]
         name = max(beside, key=lambda c: c.rank, default=best)
         rivalled = best.rank - name.rank > RIVALLED
         best = name
@@ -148,10 +142,9 @@ def _winner(
         pool = list(ranked)
     pool = [c for c in pool if c is not best and c.rank > -np.inf]
     simple = _simple_form(best, pool)
-    near = weigher.near(best, pool, policy.alias) if best.rank > -np.inf else []
+    near = system.near(best, pool, policy.alias) if best.rank > -np.inf else []
     aliases = [best, *(c for c in pool if (c in near or c is simple) and not c.outgrown)]
     if policy.plain_speaks:
-        order = weigher.order
         top = max(c.rank for c in aliases)
         # Names that rounding alone parts stand in the order of the catalogue.
         aliases.sort(
@@ -159,7 +152,7 @@ def _winner(
                 c is not simple,
                 sum(one.brings for one in c.added),
                 int((top - c.rank) / RIVALLED),
-                order.get(c.added[0].name, len(order)),
+                order.index(c.added[0].name) if c.added[0].name in order else len(order),
             )
         )
     return aliases[0], tuple(aliases), rivalled
@@ -180,36 +173,33 @@ def _simple_form(best: Candidate[A, F], pool: Sequence[Candidate[A, F]]) -> Cand
 
 
 def _corrects_the_same(
-    weigher: Weigher[A, F], candidate: Candidate[A, F], best: Candidate[A, F]
+    system: System[A, F], candidate: Candidate[A, F], best: Candidate[A, F]
 ) -> bool:
     """Tell whether a candidate wins nearly as much as the best, by nearly the same correction.
 
     Where the shape of a term is wrong for both, long records part them by many log-units without
     a word on which of them is nearer to the physics.
     """
-    policy = weigher.policy
+    policy = system.policy
     if not candidate.rank > policy.same_share * best.rank:
         return False
-    alike = cosine_of(weigher.rows, weigher.base_errors, candidate.errors, best.errors)
+    alike = cosine_of(system.rows, system.base_errors, candidate.errors, best.errors)
     return alike > policy.same_cosine
 
 
 def _pairs(
-    bench: System[A, F],
-    weigher: Weigher[A, F],
-    ranked: Sequence[Candidate[A, F]],
-    effects: Sequence[Any],
+    bench: System[A, F], ranked: Sequence[Candidate[A, F]], effects: Sequence[Any]
 ) -> list[Candidate[A, F]]:
     """Fit the best names together with each second one that its errors ask for."""
     out: dict[frozenset[Hashable], Candidate[A, F]] = {}
     for head in [c for c in ranked if not c.unnamed][:PAIR_HEADS]:
-        for pair in bench.second(head, effects, PAIR_TAILS, out):
-            out[pair.keys] = weigher.weighed(pair)
+        for pair in bench.second(head, effects, out):
+            out[pair.keys] = bench.weighed(pair)
     return list(out.values())
 
 
 def _is_better(
-    weigher: Weigher[A, F],
+    system: System[A, F],
     pair: Candidate[A, F],
     single: Candidate[A, F] | None,
     ranked: Sequence[Candidate[A, F]],
@@ -222,35 +212,34 @@ def _is_better(
         return True
     gain = 0.5 * (single.errors**2 - pair.errors**2)
     clear = pair.rank - single.rank > PAIR_GAP
-    return clear and paired_z(gain, weigher.rows, TRAIN, LATER, OTHER) > PAIR_Z
+    return clear and paired_z(gain, system.rows, TRAIN, LATER, OTHER) > PAIR_Z
 
 
-def _held_against(
-    step: Round[A, F], winner: Candidate[A, F], weigher: Weigher[A, F]
-) -> Round[A, F]:
+def _held_against(step: Round[A, F], winner: Candidate[A, F], system: System[A, F]) -> Round[A, F]:
     """Return a round with what its winner explains, and with its rival elsewhere."""
-    rows = weigher.rows
-    base, left = (float(np.sum(e[rows.valid] ** 2)) for e in (weigher.base_errors, winner.errors))
+    rows = system.rows
+    base, left = (float(np.sum(e[rows.valid] ** 2)) for e in (system.base_errors, winner.errors))
     fitted, later = (max(int(np.count_nonzero(rows.of_part(p))), 1) for p in (TRAIN, LATER))
     rates = winner.evidence.train / fitted, winner.evidence.later / later
-    rival = _rival(step, winner, weigher)
-    p = 0.0 if rival is None else step.bench.rejected(winner, rival, weigher)
+    rival = _rival(step, winner, system)
+    p = 0.0 if rival is None else step.bench.rejected(winner, rival)
     return replace(step, share=1.0 - left / base, rates=rates, rival=rival, rival_p=p)
 
 
 def _rival(
-    step: Round[A, F], winner: Candidate[A, F], weigher: Weigher[A, F]
+    step: Round[A, F], winner: Candidate[A, F], system: System[A, F]
 ) -> Candidate[A, F] | None:
     """Return the best that shares no effect with the winner and explains nearly as much.
 
     A term without a name counts, unless it corrects the same: it is the name, without it.
     """
-    if winner.unnamed:
+    share = system.policy.rival_share
+    if winner.unnamed or share is None:
         return None
     listed = frozenset(key for c in step.aliases for key in c.keys)
     for c in step.candidates:
-        near = c.accepted and c.rank > weigher.policy.rival_share * winner.rank
-        same = near and c.unnamed and _corrects_the_same(weigher, c, winner)
+        near = c.accepted and c.rank > share * winner.rank
+        same = near and c.unnamed and _corrects_the_same(system, c, winner)
         if near and not same and not listed & c.keys:
             return c
     return None
@@ -261,13 +250,6 @@ def is_worth_adding(step: Round[A, F], here: System[A, F], moved: System[A, F]) 
 
     Where model error rules, and not noise, every term of some flexibility wins something. A term
     without a name follows a name only where it takes a good part of the plain held-out error.
-
-    Parameters
-    ----------
-    step : Round
-        That found it.
-    here, moved : System
-        The model without and with it.
     """
     policy, winner = moved.policy, step.winner
     if winner is None or not policy.further_share:
@@ -294,36 +276,19 @@ def alias_sets(
     """Return, by its key, what could stand in the place of each effect found, it first.
 
     What stood in for two effects at once is no rival of either once both are there.
-
-    Parameters
-    ----------
-    system : System
-        With everything that was found.
-    rounds : sequence of Round
-        The search.
-    effects : sequence
-        Names.
     """
     out: dict[Hashable, tuple[Candidate[A, F], ...]] = {}
     for one in system.found:
-        steps = [s for s in rounds if s.winner is not None and one.key in s.winner.keys]
-        step = steps[0] if steps else None
-        alone = len(system.found) == 1 and step is not None and len(step.aliases[0].added) == 1
-        known = step.aliases if alone and step is not None else None
-        out[one.key] = known or system.stand_ins(one, step, effects)
+        step = next((s for s in rounds if s.winner is not None and one.key in s.winner.keys), None)
+        if step is not None and len(system.found) == len(step.aliases[0].added) == 1:
+            out[one.key] = step.aliases
+        else:
+            out[one.key] = system.stand_ins(one, step, effects)
     return out
 
 
 def verdict_of(missing: Sequence[MissingEffect], otherwise: str) -> str:
-    """Return the verdict on what was found.
-
-    Parameters
-    ----------
-    missing : sequence of MissingEffect
-        What was found.
-    otherwise : str
-        The verdict where nothing was.
-    """
+    """Return the verdict on what was found."""
     if not missing:
         return otherwise
     if missing[0].unnamed:

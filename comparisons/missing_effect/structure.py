@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, starmap
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from surge_core.types import FloatArray
 
 # log τ nearer than this to a bound is at it: a hundredth of τ, less than any fit states.
 AT_END = 0.01
+# Linear coefficients that belong to no effect.
+TERMS, NUISANCE = "terms", "nuisance"
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,21 @@ class Structure:
     def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
         """Return the values of one effect out of the vector."""
         return self.parts(nonlinear)[self.names.index(effect.name)]
+
+    def layout(self, data: LagData, nonlinear: FloatArray) -> dict[str, slice]:
+        """Return where the linear coefficients of the terms, nuisances and effects stand."""
+        bare, n = self.bare_ports(data, nonlinear), len(self.terms)
+        widths, behind = {TERMS: n}, dict[str, int]()
+        for effect in self.in_order:
+            if effect.linear:
+                alone = effect.acts(bare, data, self.values_of(effect, nonlinear))
+                driven = alone.driven.shape[1] - n
+                home = widths if driven else behind
+                added = 0 if alone.added is None else alone.added.shape[1]
+                home[effect.name] = driven or added
+        widths |= {NUISANCE: data.nuisance.shape[1], **behind}
+        ends = np.cumsum([0, *widths.values()]).tolist()
+        return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))
 
     def adapted(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return the vector with held values as other rows ask for them."""

@@ -30,15 +30,7 @@ JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
 
 
 def on_all_rows(fit: Fit, bench: Bench) -> Fit:
-    """Return a model fitted again, to the fitted and the held-out rows alike.
-
-    Parameters
-    ----------
-    fit : Fit
-        To the fitted rows.
-    bench : Bench
-        Records and metric.
-    """
+    """Return a model fitted again, to the fitted and the held-out rows alike."""
     from comparisons.missing_effect.candidates import nudged
 
     data = with_own_state(bench.data, fit).over_all_phi()
@@ -51,13 +43,6 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     """Return the numbers of each effect with their standard errors; τ under the key ``"tau"``.
 
     The covariance is that of clusters: the errors of one surge cycle may depend on each other.
-
-    Parameters
-    ----------
-    fit : Fit
-        To all rows.
-    bench : Bench
-        Records and metric.
     """
     data = with_own_state(bench.data, fit)
     covariance = covariance_of(fit, data, bench)
@@ -68,7 +53,7 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     linear = np.sqrt(np.maximum(np.diag(covariance)[len(free) :], 0.0))
     tau = FittedParameter("tau", fit.tau_s, fit.tau_s * stderr[0], "s")
     out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
-    columns = linear_columns(fit, data)
+    columns = fit.structure.layout(data, fit.nonlinear)
     for effect in fit.structure.effects:
         slots, numbers = iter(fit.structure.slot_of(effect)), []
         for parameter in effect.parameters:
@@ -102,38 +87,6 @@ def _over_jumps(fit: Fit, data: LagData, bench: Bench, stderr: FloatArray) -> Fl
     return out
 
 
-def linear_columns(fit: Fit, data: LagData) -> dict[str, slice]:
-    """Return which linear coefficients belong to which effect.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    data : LagData
-        What it was fitted to.
-    """
-    ports = fit.structure.ports(data, fit.nonlinear)
-    q, k = ports.driven.shape[1], data.nuisance.shape[1]
-    out, driven, added = {}, len(fit.structure.terms), q + k
-    for effect in fit.structure.in_order:
-        if not effect.linear:
-            continue
-        alone = effect.acts(
-            fit.structure.bare_ports(data, fit.nonlinear),
-            data,
-            fit.structure.values_of(effect, fit.nonlinear),
-        )
-        n_driven = alone.driven.shape[1] - len(fit.structure.terms)
-        n_added = 0 if alone.added is None else alone.added.shape[1]
-        if n_driven:
-            out[effect.name] = slice(driven, driven + n_driven)
-            driven += n_driven
-        else:
-            out[effect.name] = slice(added, added + n_added)
-            added += n_added
-    return out
-
-
 def _amplitude(
     effect: Effect, fit: Fit, data: LagData, rows: slice, stderr: FloatArray
 ) -> tuple[float, float]:
@@ -157,17 +110,7 @@ def _amplitude(
 
 
 def covariance_of(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
-    """Return the covariance of a fit, of shape (p + q, p + q): free parameters, then linear ones.
-
-    Parameters
-    ----------
-    fit : Fit
-        To these rows.
-    data : LagData
-        The rows.
-    bench : Bench
-        Metric and blocks; the errors of one block may depend on each other.
-    """
+    """Return the covariance of the free parameters of a fit, then its linear ones."""
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
     slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
     answer = fit.structure.respond(data, fit.nonlinear)
@@ -188,15 +131,6 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     stand at their bounds, where slopes tell no error. Of what the answer loses with the amplitude
     at zero, the part that nothing else in the model can make up for is compared with what the
     errors are in that direction; those of one block may depend on each other.
-
-    Parameters
-    ----------
-    effect : Effect
-        One that the model has.
-    fit : Fit
-        The model, fitted to all rows.
-    bench : Bench
-        Records, metric and blocks.
     """
     data, structure = with_own_state(bench.data, fit), fit.structure
     solution = solved(structure, data, bench.metric, fit.nonlinear)
@@ -207,7 +141,7 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     slopes = structure.slopes(data, fit.nonlinear, solution.coefficients, free)
     columns = structure.respond(data, fit.nonlinear).columns
     if effect.linear:
-        columns = np.delete(columns, linear_columns(fit, data)[effect.name], axis=1)
+        columns = np.delete(columns, fit.structure.layout(data, fit.nonlinear)[effect.name], axis=1)
     joint = np.column_stack([lost, slopes, columns])
     seen = bench.metric.seen(joint, solution.decay, data)
     basis = orthonormal(seen[:, 1:], LEAST_BASIS)
@@ -221,20 +155,10 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
 
 
 def without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
-    """Return a fit with the amplitude of one effect at zero, everything else as it is.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    effect : Effect
-        One that it has.
-    data : LagData
-        What it was fitted to.
-    """
+    """Return a fit with the amplitude of one effect at zero, everything else as it is."""
     nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
     if effect.linear:
-        coefficients[linear_columns(fit, data)[effect.name]] = 0.0
+        coefficients[fit.structure.layout(data, fit.nonlinear)[effect.name]] = 0.0
     else:
         nonlinear[fit.structure.slot_of(effect)[0]] = 0.0
     return replace(fit, nonlinear=nonlinear, coefficients=coefficients)

@@ -24,7 +24,6 @@ from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
-    N_TWINS,
     SHAPED,
     Nulls,
     Progress,
@@ -61,26 +60,10 @@ def diagnose_whole_runs(
     *,
     catalogue: Sequence[Effect],
     most_effects: int,
-    n_twins: int = N_TWINS,
-    progress: Progress = iter,
+    n_twins: int,
+    progress: Progress,
 ) -> LagDiagnosis:
-    """Find what the lag model of whole runs lacks.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        Reduced from raw counts.
-    terms : tuple of str
-        Of the characteristic.
-    catalogue : sequence of Effect
-        Names that compete.
-    most_effects : int
-        At most so many are added.
-    n_twins : int
-        Twins that are measured; without them all names are provisional.
-    progress : callable
-        Wraps the iteration over the twins.
-    """
+    """Find what the lag model of whole runs lacks."""
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
     readings = readings_of(ordered)

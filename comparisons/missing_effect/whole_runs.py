@@ -19,10 +19,11 @@ import numpy as np
 from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
-from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound, LagWeigher
+from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.coefficient_groups import coefficient_groups
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.engine import Laid, Policy
+from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
@@ -31,7 +32,6 @@ from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.probes import Probe
 from comparisons.missing_effect.structure import Structure
-from comparisons.missing_effect.uncertainty import linear_columns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -168,12 +168,6 @@ class WholeRuns(Bench):
     nulls: Nulls = NO_NULLS
     named: frozenset[str] = frozenset()
 
-    def laid(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Laid:
-        """Test each effect by its score: all that these runs can show are fitted."""
-        prober = self.prober()
-        probes = [prober.probe(effect) for effect in effects if effect.name not in self.named]
-        return Laid(effects, [probe for probe in probes if probe.starts])
-
     def fitted(self, probe: Probe) -> Fit:
         """Fit the model with the effect of a probe, from several starts of τ."""
         log_tau, *others = self.fit.nonlinear
@@ -188,11 +182,13 @@ class WholeRuns(Bench):
         structure = self.fit.structure.with_effect(probe.effect)
         return fit_structure(structure, self.train, self.train_metric, starts)
 
-    def weigher(
-        self, laid: Laid, fits: Sequence[tuple[Probe, Fit]]
-    ) -> tuple[WholeRuns, WholeRunWeigher]:
-        """Return what weighs in the plain metric."""
-        return self, WholeRunWeigher.of(self)
+    def tried(
+        self, effects: Sequence[Effect], library: Sequence[Effect] = ()
+    ) -> Tried[Effect, Fit]:
+        """Fit all that these runs can show, in the plain metric."""
+        prober = self.prober()
+        probes = [prober.probe(effect) for effect in effects if effect.name not in self.named]
+        return Tried(self, [p.candidate(self.fitted(p)) for p in probes if p.starts])
 
     def leftover(
         self, winner: LagCandidate | None, effects: Sequence[Effect], library: Sequence[Effect]
@@ -215,32 +211,25 @@ class WholeRuns(Bench):
         """Return the alias set of the round that found it."""
         return () if step is None else step.aliases
 
-
-@dataclass(frozen=True, eq=False)
-class WholeRunWeigher(LagWeigher):
-    """What weighs an effect by what it explains beyond its null, and by cycles left out."""
-
-    bench: WholeRuns
-
     @cached_property
     def left_out(self) -> FloatArray:
         """Errors of the model by fits to other cycles."""
-        return cycles_left_out(self.bench.fit, self.bench)
+        return cycles_left_out(self.fit, self)
 
     def judged(self, candidate: LagCandidate) -> LagCandidate:
         """Return a candidate weighed against its null, ranked by what it explains beyond that."""
-        bench, fit, evidence = self.bench, candidate.fit, candidate.evidence
-        null = bench.nulls.by_effect.get(candidate.name)
-        share = 1.0 - fit.cost / bench.fit.cost
-        beyond = null is None or null.beyond(share, number_of(candidate.added[0], fit, bench))
+        fit, evidence = candidate.fit, candidate.evidence
+        null = self.nulls.by_effect.get(candidate.name)
+        share = 1.0 - fit.cost / self.fit.cost
+        beyond = null is None or null.beyond(share, number_of(candidate.added[0], fit, self))
         # At an end of what is searched for τ it is no lag that was fitted.
         beyond &= bool(TAUS_S[0] < fit.tau_s < TAUS_S[-1])
         later, other, z = 0.0, float("nan"), 0.0
         # Cycles left out cost four fits more: only for what may be named at all.
         if beyond:
-            gain = 0.5 * (self.left_out**2 - cycles_left_out(fit, bench) ** 2)
+            gain = 0.5 * (self.left_out**2 - cycles_left_out(fit, self) ** 2)
             later, z = float(gain.sum()), paired_z(gain, self.rows, TRAIN)
-            last = bench.data.record == bench.data.record.max()
+            last = self.data.record == self.data.record.max()
             other = float("nan") if last.all() else float(gain[last].sum())
         least = float("nan") if null is None else null.least_share
         evidence = replace(
@@ -257,15 +246,15 @@ class WholeRunWeigher(LagWeigher):
 
     def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
         """Return what explains most beyond its null first."""
-        return tuple(sorted(candidates, key=lambda c: -c.rank))
+        return System.ranked(self, candidates)
 
     def near(
         self, best: LagCandidate, others: Sequence[LagCandidate], tie: Tie
     ) -> list[LagCandidate]:
         """Return those that explain nearly as much beyond their null, and what reads the same."""
-        null = self.bench.nulls.by_effect.get(best.name)
+        null = self.nulls.by_effect.get(best.name)
         alike = {SENSITIVITY} if best.name == "bias_drift" else set()
-        number = number_of(best.added[0], best.fit, self.bench)
+        number = number_of(best.added[0], best.fit, self)
         if null is not None and null.is_of_inertia(number):
             alike.add(INERTIA)
         least = (1.0 - tie.share) * best.rank
@@ -276,56 +265,27 @@ def plain_bench(data: LagData, terms: tuple[str, ...], n_names: int, block: int)
     """Fit the base model with all errors weighed alike.
 
     Weighing them by their colour would fit what is fast, where the model of the lag is worst.
-
-    Parameters
-    ----------
-    data : LagData
-        Whole runs.
-    terms : tuple of str
-        Of the characteristic.
-    n_names : int
-        Names that compete.
-    block : int
-        Rows of a block.
     """
     everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
     structure, metric = Structure(terms), Metric(float(np.std(data.measured)) / 30.0)
     start = np.array([np.log(USUAL_TAU_S)])
-    first = WholeRuns.start(everything, structure, metric, start, block, n_names)
+    first = WholeRuns.start(everything, structure, metric, [start], block, n_names)
     # Neighbours of an average say the same: a row counts for less than one.
-    metric = Metric(rms_left(first) * float(np.sqrt(error_memory(first))))
-    return WholeRuns.start(everything, structure, metric, first.fit.nonlinear, block, n_names)
+    metric = Metric(rms_left(first) * float(np.sqrt(_error_memory(first))))
+    return WholeRuns.start(everything, structure, metric, [first.fit.nonlinear], block, n_names)
 
 
 def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> dict[str, Fit]:
-    """Return the model of a bench with each effect, by name.
-
-    Parameters
-    ----------
-    bench : WholeRuns
-        Model and rows.
-    effects : sequence of Effect
-        Names that compete.
-    """
-    return {probe.effect.name: fit for probe, fit in bench.raced(bench.laid(effects, ()))}
+    """Return the model of a bench with each effect, by name."""
+    return {c.name: c.fit for c in bench.tried(effects).candidates}
 
 
 def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
-    """Return the one number by which an effect is judged.
-
-    Parameters
-    ----------
-    effect : Effect
-        The last one that the fit has.
-    fit : Fit
-        The model with it.
-    bench : Bench
-        The model without it.
-    """
+    """Return the one number by which an effect is judged."""
     if effect.name in SHAPED:
         return float(np.sqrt(max(1.0 - fit.cost / bench.fit.cost, 0.0))) * rms_left(bench)
     if effect.linear:
-        return float(fit.coefficients[linear_columns(fit, bench.data)[effect.name]][0])
+        return float(coefficient_groups(fit, bench.data)[effect.name][0])
     values = fit.structure.values_of(effect, fit.nonlinear)
     if effect.name == "facility_heating":
         # Size and time are known together alone: what is lost by the end of the record.
@@ -334,13 +294,7 @@ def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
 
 
 def rms_left(bench: Bench) -> float:
-    """Return the rms error of a model on the scored rows.
-
-    Parameters
-    ----------
-    bench : Bench
-        Model and rows.
-    """
+    """Return the rms error of a model on the scored rows."""
     return bench.metric.sigma * float(np.sqrt(2.0 * bench.fit.cost / bench.rows.n_fitted))
 
 
@@ -448,13 +402,6 @@ def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:
 
     Every fourth cycle is left out at a time: later time alone would be a handful of cycles of one
     record, and what one of them does would decide.
-
-    Parameters
-    ----------
-    fit : Fit
-        To all rows.
-    bench : Bench
-        Records and metric.
     """
     data, rows = bench.data, bench.rows
     out = np.zeros(data.n_samples)
@@ -466,15 +413,9 @@ def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:
     return out
 
 
-def error_memory(bench: Bench) -> float:
-    """Return how many neighbouring errors of a model say the same: (1 + ρ)/(1 − ρ).
-
-    Parameters
-    ----------
-    bench : Bench
-        Model and rows.
-    """
-    errors, valid = bench.errors(bench.fit), bench.rows.valid
+def _error_memory(bench: Bench) -> float:
+    """Return how many neighbouring errors of a model say the same: (1 + ρ)/(1 − ρ)."""
+    errors, valid = bench.base_errors, bench.rows.valid
     both = valid[1:] & valid[:-1]
     one, two = errors[:-1][both], errors[1:][both]
     rho = float(one @ two) / max(float(np.sqrt((one @ one) * (two @ two))), 1e-300)

@@ -22,8 +22,7 @@ from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.structure import Structure
-from comparisons.missing_effect.systems.system import ModelSystem
-from comparisons.missing_effect.systems.weigh import ModelCandidate, ModelRound
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound, ModelSystem
 
 PERIOD_S = 0.02
 STATES = {"q": "m", "v": "m/s", "i": "A"}

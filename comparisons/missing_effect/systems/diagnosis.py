@@ -32,8 +32,7 @@ from comparisons.missing_effect.systems.records import Records, check_run, runs_
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
-from comparisons.missing_effect.systems.system import ModelSystem
-from comparisons.missing_effect.systems.weigh import ModelRound
+from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
@@ -118,13 +117,13 @@ def _with_drift(
 ) -> tuple[ModelSystem, list[ModelRound]]:
     """Look for a drift over whole records, of which the search saw the first rows alone."""
     drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
-    whole = replace(system, bench=system.bench.over_whole_records())
+    whole = ModelSystem(system.bench.over_whole_records())
     if not drifts or whole.failed:
         return system, rounds
     step = search_round(whole, drifts, ())
     if step.winner is None:
         return system, rounds
-    moved = replace(whole, bench=whole.bench.with_winner(step.winner.fit, step.winner.onward))
+    moved = ModelSystem(whole.bench.with_winner(step.winner.fit, step.winner.onward))
     if not is_worth_adding(step, whole, moved):
         return system, rounds
     # A round that added nothing is the last one, and this one stands in its place.

@@ -18,7 +18,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
 from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.score import Prober
-from comparisons.missing_effect.systems.weigh import ModelCandidate, ModelRound
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
@@ -35,21 +35,7 @@ def doubts_of(
     worse: Sequence[CheckRun],
     model: Model,
 ) -> tuple[str, ...]:
-    """Return why a name is not firm; empty where it is.
-
-    Parameters
-    ----------
-    step : Round
-        The round that found it.
-    placed : Placed
-        The effect.
-    numbers : sequence of FittedParameter
-        Its numbers.
-    worse : sequence of CheckRun
-        Check records whose error grew.
-    model : Model
-        The model.
-    """
+    """Return why a name is not firm; empty where it is."""
     winner = step.winner
     assert winner is not None
     out = []
@@ -91,15 +77,7 @@ def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
 
 
 def left_words(left: Leftover, named: bool) -> str:
-    """Say that something is missing that nothing here fits: its size, and what it follows.
-
-    Parameters
-    ----------
-    left : Leftover
-        What a model leaves.
-    named : bool
-        Whether something was found before.
-    """
+    """Say that something is missing that nothing here fits: its size, and what it follows."""
     lead = "Beyond what was found s" if named else "S"
     if left.structured:
         follows = f"; it follows {left.follows} most" if left.follows else ""
@@ -122,15 +100,7 @@ def left_words(left: Leftover, named: bool) -> str:
 def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
-    """Test what a model leaves for anything that effects, inputs or states still explain.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model and the records.
-    catalogue, library : sequence of SystemEffect
-        Names, and terms without one.
-    """
+    """Test what a model leaves for anything that effects, inputs or states still explain."""
     if bench.fit.failed:
         return Leftover(1.0, 1.0, 0.0, np.inf)
     rng = np.random.default_rng(0)

@@ -110,25 +110,13 @@ class Metric:
 
 
 def raw_metric(outputs: Sequence[FloatArray]) -> Metric:
-    """Return the raw metric, each output in units of its own swing.
-
-    Parameters
-    ----------
-    outputs : sequence of ndarray of shape (n, n_y)
-        Measured outputs of the runs.
-    """
+    """Return the raw metric, each output in units of its own swing."""
     swing = np.nanstd(np.concatenate(list(outputs)), axis=0)
     return Metric(tuple(float(s) for s in swing), (np.zeros(0),) * swing.size)
 
 
 def metric_of(errors: Sequence[FloatArray]) -> Metric:
-    """Return the metric in which the errors of a model are white: one autoregression an output.
-
-    Parameters
-    ----------
-    errors : sequence of ndarray of shape (n, n_y)
-        Of the runs.
-    """
+    """Return the metric in which the errors of a model are white: one autoregression an output."""
     outputs = range(errors[0].shape[1])
     strides, ar = zip(*(autoregression([e[:, j] for e in errors]) for j in outputs), strict=True)
     return Metric((1.0,) * len(ar), ar, strides).with_size_of(errors)

@@ -30,15 +30,6 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     """Return the covariance of θ, zero for what is not fitted: a sandwich over blocks of rows.
 
     Behind θ stand the parameters that each record has of its own, record by record.
-
-    Parameters
-    ----------
-    fit : Fit
-        Fitted to the runs.
-    runs : sequence of Run
-        All training runs.
-    metric : Metric
-        Raw; sizes are taken from the errors.
     """
     # Offsets are held in the raw fit, but they are not known exactly.
     which = replace(fit.structure, offsets_free=True).free
@@ -112,17 +103,7 @@ def numbers_of(
 
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
-    """Return the largest correlation of two numbers of one effect; 0 where it has no two.
-
-    Parameters
-    ----------
-    fit : Fit
-        With the effect.
-    placed : Placed
-        The effect.
-    cov : ndarray
-        Covariance of θ.
-    """
+    """Return the largest correlation of two numbers of one effect; 0 where it has no two."""
     model = fit.structure.model
     index = [e.key for e in fit.structure.effects].index(placed.key)
     first = len(model.params) + len(model.inputs) + SLOTS * index

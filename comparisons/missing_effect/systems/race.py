@@ -57,7 +57,7 @@ def promising(raw: Answers, white: Answers) -> list[Probe]:
     return list(kept.values())
 
 
-def raced(bench: Bench, probes: Sequence[Probe]) -> list[tuple[Probe, Fit]]:
+def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     """Fit a few steps each in the raw metric, and to the end those that are ahead by then.
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
@@ -67,7 +67,7 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> list[tuple[Probe, Fit]]:
     begun = {probe: _begun(lane, probe, white) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
-        return []
+        return {}
     own = {p: metric_of(f.errors).log_likelihood(f.errors) for p, f in begun.items()}
     ahead: list[Probe] = []
     for unnamed in (False, True):
@@ -83,22 +83,19 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> list[tuple[Probe, Fit]]:
         and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
     ]
     starts = {p: begun[p].starts if lane is bench else bench.fit.starts for p in ahead}
-    return [
-        (
-            p,
-            fit_runs(
-                begun[p].structure,
-                bench.train,
-                bench.raw,
-                begun[p].theta,
-                starts[p],
-                begun[p].scale,
-                most=MOST_ITERATIONS,
-            ),
+    return {
+        p: fit_runs(
+            begun[p].structure,
+            bench.train,
+            bench.raw,
+            begun[p].theta,
+            starts[p],
+            begun[p].scale,
+            most=MOST_ITERATIONS,
         )
         for p in probes
         if p in ahead
-    ]
+    }
 
 
 def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:

@@ -16,7 +16,7 @@ from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import label_of
 from comparisons.missing_effect.systems.records import Records
-from comparisons.missing_effect.systems.weigh import ModelCandidate, ModelRound
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.types import FloatArray
 
 SHARE_UNIT = "1 (share of swing)"

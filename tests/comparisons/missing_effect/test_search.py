@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.engine import Candidate, Laid, Policy, Round, System, Weigher
+from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.evidence import Rows, Tie
 from comparisons.missing_effect.lag_data import LATER, TRAIN
 from comparisons.missing_effect.search import alias_sets, search
@@ -69,30 +69,25 @@ class Linear:
         return replace(self, effects=effects, coefficients=found)
 
 
-@dataclass(frozen=True)
-class Probe:
-    added: tuple[Column, ...]
-    gain: float
-
-    @property
-    def key(self) -> frozenset[str]:
-        return frozenset(c.name for c in self.added)
-
-
 @dataclass(frozen=True, eq=False)
 class Table(System[Column, Linear]):
     fit: Linear
     policy: Policy = POLICY
+    rows: Rows = ROWS
 
-    def laid(self, effects: Sequence[Column], library: Sequence[Column]) -> Laid:
+    @property
+    def base_errors(self) -> np.ndarray:
+        return self.fit.errors
+
+    def tried(self, effects: Sequence[Column], library: Sequence[Column]) -> Tried[Column, Linear]:
         new = [c for c in (*effects, *library) if c not in self.found]
-        return Laid(effects, [Probe((c,), abs(self.fit.errors @ TABLE[c.name])) for c in new])
+        return Tried(self, [Candidate((c,), self.fit.with_effects(*self.found, c)) for c in new])
 
-    def raced(self, laid: Laid) -> list[tuple[Probe, Linear]]:
-        return [(p, self.fit.with_effects(*self.found, *p.added)) for p in laid.promising]
+    def errors_of(self, fit: Linear) -> tuple[np.ndarray, tuple[float, float]]:
+        return fit.errors, (0.0, 0.0)
 
-    def weigher(self, laid: Laid, fits: Sequence[Any]) -> tuple[Table, TableWeigher]:
-        return self, TableWeigher(self.fit, self.fit.errors, self.policy)
+    def searched(self, added: Sequence[Column]) -> float:
+        return float(len(TABLE))
 
     def with_winner(self, step: Round[Column, Linear]) -> Table:
         assert step.winner is not None
@@ -102,23 +97,6 @@ class Table(System[Column, Linear]):
         rest = self.fit.with_effects(*(c for c in self.found if c != one))
         lost = 0.5 * float(rest.errors @ rest.errors - self.fit.errors @ self.fit.errors)
         return replace(self, fit=rest) if lost < 0.5 * np.log(N) else None
-
-
-@dataclass(frozen=True, eq=False)
-class TableWeigher(Weigher[Column, Linear]):
-    base: Linear
-    base_errors: np.ndarray
-    policy: Policy
-    rows: Rows = ROWS
-
-    def candidate(self, probe: Probe, fit: Linear) -> Candidate[Column, Linear]:
-        return Candidate(probe.added, fit, promised=probe.gain)
-
-    def errors_of(self, fit: Linear) -> tuple[np.ndarray, tuple[float, float]]:
-        return fit.errors, (0.0, 0.0)
-
-    def searched(self, added: Sequence[Column]) -> float:
-        return float(len(TABLE))
 
 
 def found_in(y: np.ndarray, names: str, library: str = "", most: int = 3) -> dict[Any, set[str]]:

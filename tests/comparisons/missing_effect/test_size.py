@@ -66,7 +66,7 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
     rows = bench.data.scored()
-    errors = bench.errors(base.fit), bench.errors(bench.fit)
+    left = base.base_errors, bench.base_errors
     return concluded(
         base,
         bench,
@@ -75,7 +75,7 @@ def conclusion(bench: Bench, base: Bench) -> Diagnosis:
         otherwise="nothing_missing",
         doubts=(),
         noise=bench.noise(bench.fit),
-        left=errors,
+        left=left,
         held=rows,
         floor_rms=1e-3,
         unavailable={},
