@@ -42,6 +42,7 @@ MOST_EFFECTS = 4
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
+STILL_FORETOLD = "inputs and states still foretell the error that is left"
 # Share of a parameter's range that counts as at its bound.
 AT_BOUND = 1e-4
 
@@ -181,8 +182,12 @@ def _concluded(
     worse = [run for run in checked if np.any(run.worse)]
     missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
     if left.structured:
-        missing = (*missing[:1], *(_doubted(item) for item in missing[1:]))
-    open_ = base.fit.failed or _foretells_badly(base) or left.structured or left.disturbed
+        # A name beyond the first may stand in for what is left.
+        later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
+        missing = (*missing[:1], *later)
+    open_ = not missing and (
+        base.fit.failed or _foretells_badly(base) or left.structured or left.disturbed
+    )
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
@@ -259,16 +264,6 @@ def _found(
         placed.words(model).says,
         confirm,
     )
-
-
-def _doubted(item: MissingEffect) -> MissingEffect:
-    """Doubt a name beyond the first in a model whose error is still foretold.
-
-    It may stand in for what is left.
-    """
-    if item.unnamed:
-        return item
-    return item.doubted("inputs and states still foretell the error that is left")
 
 
 def _foretells_badly(bench: Bench) -> bool:

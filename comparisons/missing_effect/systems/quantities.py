@@ -17,9 +17,9 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import answers
-from comparisons.missing_effect.systems.structure import Run
+from comparisons.missing_effect.systems.structure import Run, Structure
 from comparisons.missing_effect.systems.units import product_of_units
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
@@ -65,6 +65,13 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     return whole
 
 
+def slots_of(structure: Structure, placed: Placed) -> IntArray:
+    """Return where in θ the numbers of an effect are."""
+    first = structure.n_theta - SLOTS * len(structure.effects)
+    index = [e.key for e in structure.effects].index(placed.key)
+    return first + SLOTS * index + np.arange(SLOTS)
+
+
 def numbers_of(
     fit: Fit, placed: Placed, cov: FloatArray, clock: FloatArray
 ) -> tuple[FittedParameter, ...]:
@@ -81,10 +88,8 @@ def numbers_of(
     clock : ndarray of shape (4,)
         Of a run: sample period, and middle and half length of the records' span.
     """
-    structure = fit.structure
-    model = structure.model
-    index = [e.key for e in structure.effects].index(placed.key)
-    at = len(model.params) + len(model.inputs) + SLOTS * index
+    model = fit.structure.model
+    at = int(slots_of(fit.structure, placed)[0])
     out: list[tuple[str, float, float, str]] = []
     for slot, number in enumerate(placed.effect.numbers):
         if placed.held[slot] and not number.held:
@@ -104,10 +109,7 @@ def numbers_of(
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
     """Return the largest correlation of two numbers of one effect; 0 where it has no two."""
-    model = fit.structure.model
-    index = [e.key for e in fit.structure.effects].index(placed.key)
-    first = len(model.params) + len(model.inputs) + SLOTS * index
-    at = first + np.flatnonzero([not held for held in placed.held])
+    at = slots_of(fit.structure, placed)[np.flatnonzero([not held for held in placed.held])]
     return largest_correlation(cov[np.ix_(at, at)])
 
 

@@ -17,11 +17,12 @@ from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.placing import placed_effects
+from comparisons.missing_effect.systems.quantities import slots_of
 from comparisons.missing_effect.systems.race import FLIP_SEED, favoured_metric, promising, raced
 from comparisons.missing_effect.systems.rivals import rejected
 from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.shapes import Kind
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
 BLOCKS = 60
 LEAST_BLOCK_ROWS = 20
@@ -166,7 +167,9 @@ class ModelSystem(System[Placed, Fit]):
         makes the plain held-out error no larger.
         """
         bench, structure, own = self.bench, self.fit.structure, metric_of(self.fit.errors)
-        moved = bench.refitted(structure.without(one), np.delete(bench.fit.theta, self._slots(one)))
+        moved = bench.refitted(
+            structure.without(one), np.delete(bench.fit.theta, slots_of(self.fit.structure, one))
+        )
         moved = replace(moved, white=None)
         lost = whitened_fit(moved, moved.fit, own).cost - self._own_cost
         n = sum(np.count_nonzero(np.isfinite(errors)) for errors in bench.fit.errors)
@@ -188,7 +191,7 @@ class ModelSystem(System[Placed, Fit]):
             effects_then = [c.added[0] if e.key == one.key else e for e in self.found]
             structure = replace(self.fit.structure, effects=tuple(effects_then))
             theta = self.fit.theta.copy()
-            theta[self._slots(one)] = c.fit.theta[-SLOTS:]
+            theta[slots_of(self.fit.structure, one)] = c.fit.theta[-SLOTS:]
             swapped = self.bench.refitted(structure, theta)
             bare, own = replace(self.bench, white=None), metric_of(self.fit.errors)
             if whitened_fit(bare, swapped.fit, own).cost < self._own_cost + LEAST_LOST:
@@ -203,12 +206,6 @@ class ModelSystem(System[Placed, Fit]):
     def held_out_size(self) -> float:
         """Return the plain error on held-out rows."""
         return self.bench.held_out_size()
-
-    def _slots(self, one: Placed) -> IntArray:
-        """Return where in θ the numbers of an effect are."""
-        keys = [placed.key for placed in self.found]
-        first = self.fit.theta.size - SLOTS * len(keys)
-        return first + SLOTS * keys.index(one.key) + np.arange(SLOTS)
 
     @cached_property
     def _own_cost(self) -> float:
