@@ -55,7 +55,6 @@ def concluded(
     left: tuple[FloatArray, FloatArray],
     held: BoolArray,
     floor_rms: float,
-    unavailable: Mapping[str, str],
 ) -> LagDiagnosis:
     """Return the diagnosis that a search has come to.
 
@@ -79,8 +78,6 @@ def concluded(
         Rows that were held out.
     floor_rms : float
         Measurement noise.
-    unavailable : mapping of str to str
-        Effects that these records cannot show, and why.
     """
     before = on_all_rows(base.fit, base)
     after = on_all_rows(final.fit, final) if final.found else before
@@ -103,7 +100,7 @@ def concluded(
         verdict=verdict_of(missing, otherwise),
         missing=tuple(missing),
         parameters=_parameters((before, earlier), (after, covariance)),
-        unavailable=unavailable,
+        unavailable={},
         gap=Gap(_rms(left[0][held]), _rms(left[1][held]), floor_rms),
         tau_by_alias_s=_tau_by_alias(final, sets, after),
         before=before,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -107,8 +107,8 @@ def diagnose_data(
     base = first_bench(data, tuple(terms), len(effects))
     final, rounds = search(base, effects, open_terms(data), most_effects)
     sets = alias_sets(final, rounds, effects)
-    found = _concluded(base, final, rounds, sets, unavailable)
-    return replace(found, catalogue=tuple(catalogue))
+    found = _concluded(base, final, rounds, sets)
+    return replace(found, catalogue=tuple(catalogue), unavailable=unavailable)
 
 
 def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
@@ -127,7 +127,6 @@ def _concluded(
     final: Bench,
     rounds: Sequence[LagRound],
     sets: AliasSets,
-    unavailable: Mapping[str, str],
 ) -> LagDiagnosis:
     leftover, noise, data = rounds[-1].leftover, final.noise(final.fit), final.data
     unnamed = [effect for effect in final.found if effect.unnamed]
@@ -145,7 +144,6 @@ def _concluded(
         ),
         held=data.scored() & np.isin(data.part, (LATER, OTHER)),
         floor_rms=noise.sigma,
-        unavailable=unavailable,
     )
     verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:

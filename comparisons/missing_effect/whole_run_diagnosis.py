@@ -101,7 +101,6 @@ def diagnose_whole_runs(
         left=_left_out(base, bench),
         held=bench.rows.valid,
         floor_rms=averaged_noise(readings),
-        unavailable=unavailable,
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
@@ -119,6 +118,7 @@ def diagnose_whole_runs(
         diagnosis,
         verdict=verdict,
         missing=missing,
+        unavailable=unavailable,
         untold=_blind(others, why or SECOND_PATTERN) if blind else _untold(others, nulls),
         absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )

@@ -78,7 +78,6 @@ def conclusion(bench: Bench, base: Bench) -> Diagnosis:
         left=left,
         held=rows,
         floor_rms=1e-3,
-        unavailable={},
     )
 
 
