@@ -116,7 +116,7 @@ class Candidate(Generic[A, F]):
         To the rows fitted, in the metric of the round; the model's own where it promised too
         little to be fitted.
     errors : ndarray of shape (n,)
-        Whitened errors on all rows, by which it is told from others.
+        Whitened errors on all rows, by which it differs from others.
     evidence : Evidence
         For it.
     promised : float

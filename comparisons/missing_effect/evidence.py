@@ -263,7 +263,7 @@ def alias_rows(
     scores : sequence of float
         Of each candidate.
     tie : Tie
-        When two are not told apart.
+        When two look alike.
 
     Returns
     -------

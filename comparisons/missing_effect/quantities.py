@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -67,12 +68,14 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     value, stderr : float
         In the unit.
     unit : str
-        SI; ``"1"`` without one. Small times are written in ms.
+        SI; ``"1"`` without one. Small times are written in ms; an error that is not known is NaN.
     """
     limit, factor, smaller = _SMALLER.get(unit, (0.0, 1.0, ""))
     shown = _UNITS.get(unit, unit)
     if abs(value) < limit:
         value, stderr, shown = factor * value, factor * stderr, smaller
+    if math.isnan(stderr):
+        return f"about {significant(value)} {shown}".rstrip()
     if stderr <= 0.0:
         return f"{significant(value)} {shown}".rstrip() + " (held)"
     return f"{round_to_error(value, stderr)} {shown}".rstrip()

@@ -155,7 +155,7 @@ class ModelSystem(System[Placed, Fit]):
         )
 
     def with_winner(self, step: ModelRound) -> ModelSystem:
-        """Return the model with what a round found, its inputs laid anew between samples."""
+        """Return the model with what a round found, its inputs laid between samples again."""
         assert step.winner is not None
         moved = self.bench.with_winner(step.winner.fit, step.winner.onward)
         return ModelSystem(moved.between_chosen())
