@@ -63,7 +63,7 @@ def answer_of(
         label=first.label,
         why=_believed(comparison, first) if chosen else _not_believed(comparison),
         others=_others(*tau, readings) if chosen else "",
-        curve=_curve(comparison, first),
+        curve=_curve(comparison, first) if chosen else None,
         verdict=verdict,
         missing=missing,
         refused=(*_refused(comparison), *refused),
@@ -154,11 +154,14 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
     vague: list[str] = []
     for name, value_s, error_s in readings:
         if math.isfinite(value_s):
-            said = f"{name} {round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
+            reading = f"{round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
             far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
             # Nearly anything agrees with a reading that would not be stated by itself.
             known = error_s <= LARGEST_SHARE * value_s
-            (vague if not known else apart if far else agree).append(said)
+            if known:
+                (apart if far else agree).append(f"{name} {reading}")
+            else:
+                vague.append(f"{name} ({reading})")
     words = []
     if agree:
         words.append(f"It agrees with {', '.join(agree)}.")
@@ -168,7 +171,8 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
             "difference is explained."
         )
     if vague:
-        words.append(f"Known too vaguely to agree or not: {', '.join(vague)}.")
+        are = "is" if len(vague) == 1 else "are"
+        words.append(f"{' and '.join(vague)} {are} too uncertain to compare.")
     return " ".join(words)
 
 
