@@ -87,7 +87,11 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     words = (
         f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
     )
-    aside = "".join(
+    # What its interval lacks where no twins were measured.
+    lacking = "".join(
+        f" {text[:1].upper()}{text[1:]}." for text in first.remarks if text.startswith("no twins")
+    )
+    aside = lacking + "".join(
         f" {other.label[:1].upper()}{other.label[1:]} reads "
         f"{significant(1e3 * other.model.time_constant_s, 3)} ms and is not quoted: it failed "
         f"{', '.join(other.failed)}."

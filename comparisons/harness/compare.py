@@ -111,7 +111,8 @@ def compare_records(
         *([biased] if biased else []),
         *comparison_cautions(records, rows, results),
     )
-    valid_phi = trusted_range(rows.phi)
+    first = next(result for result in results if result.name == table[0].estimator)
+    valid_phi = first.model.valid_phi
     return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
 
 

@@ -61,7 +61,7 @@ def test_each_step_has_its_own_document_or_the_sentence_that_refused(
     # Above 90 % speed T31 leaves the limits of its acquisition.
     assert "T31" in document["work"]["refused"]
     (refused,) = document["answer"]["refused"]
-    assert refused.startswith("ψ is not known: no T31 that counts")
+    assert refused.startswith("ψ is not known: it needs T31, and both T31 probes were")
     assert document["reduce"]["history"][0]["step"] == "read"
     assert (made[0] / "series.csv").is_file()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,7 @@ def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
 ) -> None:
     raw = folder(tmp_path, case, 0)
     said = refused(capsys, "work", raw / "raw.csv", "--test", raw / "test.toml")
-    for words in ("no T31 that counts, so no W31", "limits"):
+    for words in ("it needs T31", "limits"):
         assert words in said
 
 
@@ -105,3 +106,17 @@ def test_a_window_of_a_few_rows_is_no_traceback(
     test = raw / "test.toml"
     test.write_text(test.read_text("utf-8") + "\n[window]\nfrom_s = 2.0\nto_s = 2.02\n", "utf-8")
     refused(capsys, "work", raw / "raw.csv", "--test", test)
+
+
+def test_a_psi_by_the_temperature_rise_alone_is_neither_written_nor_saved(tmp_path: Path) -> None:
+    raw = folder(tmp_path, "90", 0)
+    series, out, saved = (tmp_path / name for name in ("s.csv", "c.json", "m.json"))
+    assert run("reduce", raw / "raw.csv", "--test", raw / "test.toml", "-o", series) == 0
+    ledger = series.with_suffix(".ledger.json")
+    written = ledger.read_text("utf-8")
+    by_rise = re.sub(r'("form": )"[^"]*"', r'\1"temperature-rise"', written)
+    ledger.write_text(by_rise, "utf-8")
+    command = ("compare", series, "--no-twins", "--json", out, "--save", saved)
+    assert run(*command) == 0
+    assert json.loads(out.read_text("utf-8"))["work_coefficient"] is None
+    assert not any(":psi" in name for name in json.loads(saved.read_text("utf-8"))["models"])
