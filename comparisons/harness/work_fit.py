@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from classic_ml.records import counted
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
+from classic_ml.whole_record_fit import LARGEST_SHARE
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 if TYPE_CHECKING:
     from classic_ml.io import TestDescription
@@ -31,9 +35,13 @@ def fit_work(
     *,
     breakpoints: tuple[float, float] | None = None,
     time_constant_s: float | None = None,
+    vague: bool = False,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> WorkCharacteristic:
     """Reduce a raw record without any low-pass and fit its work characteristic.
+
+    A τ or a curve whose standard error is more than 12 % is withheld: then neither is stated, and
+    :func:`why_withheld` says why.
 
     Parameters
     ----------
@@ -46,6 +54,8 @@ def fit_work(
         taken from a grid over the flow that the record visits.
     time_constant_s : float, optional
         Hold τ at this value.
+    vague : bool
+        State a τ or a curve known worse than 12 % too, to measure how far off it is.
     progress : callable
         Wraps the iteration over the pairs, to show how far it is.
 
@@ -71,7 +81,8 @@ def fit_work(
         )
 
     if breakpoints is not None:
-        return fitted(breakpoints)
+        best = fitted(breakpoints)
+        return best if vague else _withheld_if_vague(best)
     phi = reduction.series.phi[reduction.record["free_run"] == 2.0]
     if phi.size < FEWEST_ROWS:
         raise InputError(
@@ -86,4 +97,46 @@ def fit_work(
     grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
     pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
     fits = [fitted(pair) for pair in progress(pairs)]
-    return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
+    best = min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
+    return best if vague else _withheld_if_vague(best)
+
+
+def why_withheld(fit: WorkCharacteristic) -> str:
+    """Say why a fit states neither τ nor curve; empty where it states both.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
+    if math.isfinite(fit.time_constant_s):
+        return ""
+    if fit.fit_state is FitState.UNCERTAIN:
+        return (
+            f"τ or the curve is known to no better than {100 * LARGEST_SHARE:.0f} %; hold τ with "
+            "`sindy-surge work --tau`, or take a longer record."
+        )
+    if fit.fit_state is FitState.LAG_UNDETERMINED:
+        cycles = counted(fit.n_cycles, "cycle")
+        return f"{cycles} are too few to find τ: its error is as large as τ itself."
+    return fit.fit_state.advice
+
+
+def _withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
+    """Withhold τ and curve where either is known worse than a whole run's τ may be."""
+    if not math.isfinite(fit.time_constant_s):
+        return fit
+    value, error = fit.characteristic(np.linspace(*fit.valid_phi, GRID_POINTS))
+    curve_share = float(np.mean(error) / np.mean(np.abs(value)))
+    tau_share = fit.time_constant_stderr_s / fit.time_constant_s
+    if max(tau_share, curve_share) <= LARGEST_SHARE:
+        return fit
+    return replace(
+        fit,
+        time_constant_s=math.nan,
+        time_constant_stderr_s=math.nan,
+        coef=np.full_like(fit.coef, math.nan),
+        covariance=np.full_like(fit.covariance, math.nan),
+        fit_state=FitState.UNCERTAIN,
+        entry=replace(fit.entry, parameters={**fit.entry.parameters, "time_constant_s": None}),
+    )
