@@ -37,7 +37,7 @@ def one_record(seed: int) -> dict[str, Any]:
         raw = read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")
     row: dict[str, Any] = {"seed": seed}
     for way, options in WAYS.items():
-        fit = fit_work(*raw, **options, vague=True)
+        fit = fit_work(*raw, **options)
         value, stderr = fit.characteristic(AT)
         row[way] = {
             "tau_ms": 1e3 * fit.time_constant_s,

@@ -112,7 +112,7 @@ def analyse(
     from comparisons.harness.cautions import unknown_work
     from comparisons.harness.compare import compare_records
     from comparisons.harness.structure_fit import find_structure
-    from comparisons.harness.work_fit import fit_work, why_withheld
+    from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vague
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
 
@@ -142,7 +142,7 @@ def analyse(
         "diagnose",
         lambda: diagnose(series, n_twins=DIAGNOSIS_TWINS if twins else 0, progress=progress),
     )
-    work = tried("work", lambda: fit_work(record, described, progress=progress))
+    work = tried("work", lambda: withheld_if_vague(fit_work(record, described, progress=progress)))
     readings = []
     if structure is not None and not structure.refused:
         fit = structure.fit

@@ -35,13 +35,9 @@ def fit_work(
     *,
     breakpoints: tuple[float, float] | None = None,
     time_constant_s: float | None = None,
-    vague: bool = False,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> WorkCharacteristic:
     """Reduce a raw record without any low-pass and fit its work characteristic.
-
-    A τ or a curve whose standard error is more than 12 % is withheld: then neither is stated, and
-    :func:`why_withheld` says why.
 
     Parameters
     ----------
@@ -54,8 +50,6 @@ def fit_work(
         taken from a grid over the flow that the record visits.
     time_constant_s : float, optional
         Hold τ at this value.
-    vague : bool
-        State a τ or a curve known worse than 12 % too, to measure how far off it is.
     progress : callable
         Wraps the iteration over the pairs, to show how far it is.
 
@@ -81,8 +75,7 @@ def fit_work(
         )
 
     if breakpoints is not None:
-        best = fitted(breakpoints)
-        return best if vague else _withheld_if_vague(best)
+        return fitted(breakpoints)
     phi = reduction.series.phi[reduction.record["free_run"] == 2.0]
     if phi.size < FEWEST_ROWS:
         raise InputError(
@@ -97,8 +90,7 @@ def fit_work(
     grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
     pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
     fits = [fitted(pair) for pair in progress(pairs)]
-    best = min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
-    return best if vague else _withheld_if_vague(best)
+    return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
 
 
 def why_withheld(fit: WorkCharacteristic) -> str:
@@ -122,15 +114,32 @@ def why_withheld(fit: WorkCharacteristic) -> str:
     return fit.fit_state.advice
 
 
-def _withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
-    """Withhold τ and curve where either is known worse than a whole run's τ may be."""
+def is_vague(fit: WorkCharacteristic) -> bool:
+    """Return whether τ or the curve is known worse than a whole run's τ may be.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
     if not math.isfinite(fit.time_constant_s):
-        return fit
+        return False
     value, error = fit.characteristic(np.linspace(*fit.valid_phi, GRID_POINTS))
     curve_share = float(np.mean(error) / np.mean(np.abs(value)))
-    tau_share = fit.time_constant_stderr_s / fit.time_constant_s
-    if max(tau_share, curve_share) <= LARGEST_SHARE:
+    return max(fit.time_constant_stderr_s / fit.time_constant_s, curve_share) > LARGEST_SHARE
+
+
+def withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
+    """Return a fit without numbers where one is vague, as an answer states it.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
+    if not is_vague(fit):
         return fit
+    known = {k: v for k, v in fit.entry.parameters.items() if k != "time_constant_s"}
     return replace(
         fit,
         time_constant_s=math.nan,
@@ -138,5 +147,5 @@ def _withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
         coef=np.full_like(fit.coef, math.nan),
         covariance=np.full_like(fit.covariance, math.nan),
         fit_state=FitState.UNCERTAIN,
-        entry=replace(fit.entry, parameters={**fit.entry.parameters, "time_constant_s": None}),
+        entry=replace(fit.entry, parameters=known),
     )

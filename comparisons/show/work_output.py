@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.work_fit import why_withheld
+from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.show.json_output import curve_json, state_json, tau_json
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
@@ -66,6 +66,8 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     inside = [(p, v, s) for p, v, s in zip(*_curve(fit), strict=True) if low <= p <= high]
     lines += [f"{p:.3f}   {round_to_error(v, s)}" for p, v, s in inside]
     lines.append(fit.entry.did)
+    if is_vague(fit):
+        lines.append("τ or the curve is known to no better than 12 %: `run` does not state it")
     if searched:
         lines.append(
             "the breakpoints were searched: errors of the curve do not contain this choice and are "

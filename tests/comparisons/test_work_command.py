@@ -21,33 +21,15 @@ def folder(tmp_path: Path, case: str, seed: int) -> Path:
     return tmp_path / case
 
 
-def test_a_vague_tau_is_withheld_with_its_curve(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    raw, out = folder(tmp_path, "90", 2), tmp_path / "w.json"
-    command = ("work", raw / "raw.csv", "--test", raw / "test.toml", "--json", out)
-    assert run(*command, "--breakpoints", 0.05, 0.125) == 0
-    said = capsys.readouterr().out
-    assert "ψ_QS is not stated, nor τ" in said
-    assert "12 %" in said
-    assert "τ =" not in said
-    document = json.loads(out.read_text("utf-8"))
-    assert document["fit_state"]["code"] == "uncertain"
-    assert document["time_constant_s"] == {"value": None, "stderr": None}
-    assert not any(document["characteristic"]["psi"])
-    assert document["history"][0]["parameters"]["time_constant_s"] is None
-
-
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_curve_comes_back_with_the_breakpoints_known(
     seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw, out = folder(tmp_path, "90", seed), tmp_path / "w.json"
     command = ("work", raw / "raw.csv", "--test", raw / "test.toml", "--json", out)
-    # τ is known well enough on the first record alone.
-    held = () if seed == 0 else ("--tau", "18ms")
-    assert run(*command, "--breakpoints", 0.05, 0.125, *held) == 0
-    assert "work characteristic ψ_QS" in capsys.readouterr().out
+    assert run(*command, "--breakpoints", 0.05, 0.125) == 0
+    said = capsys.readouterr().out
+    assert "work characteristic ψ_QS" in said
     document = json.loads(out.read_text("utf-8"))
     assert document["schema"] == "sindy-surge/work/1"
     curve = document["characteristic"]
@@ -55,7 +37,9 @@ def test_the_curve_comes_back_with_the_breakpoints_known(
     assert np.all(np.abs(found - TRUE) < 0.2)
     assert np.all(np.abs(found - TRUE) < 3.0 * error)
     tau = document["time_constant_s"]
-    assert held or abs(tau["value"] - 0.018) < 3.0 * tau["stderr"]
+    assert abs(tau["value"] - 0.018) < 3.0 * tau["stderr"]
+    # What `run` withholds for it is said where it is printed.
+    assert ("`run` does not state it" in said) == (tau["stderr"] > 0.12 * tau["value"])
     # Searched breakpoints cost accuracy at the bend, not sense.
     assert run(*command, "--tau", "18ms") == 0
     curve = json.loads(out.read_text("utf-8"))["characteristic"]
