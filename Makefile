@@ -13,7 +13,7 @@ demo: $(STAMP)
 	$(BIN)/sindy-surge demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/screen --ignore tests/benchmarks
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/screen --ignore tests/benchmarks --ignore tests/docs
 
 # That each benchmark runs, at its shortest, and that what it measures with is right.
 benchmarks: $(STAMP)
@@ -22,8 +22,10 @@ benchmarks: $(STAMP)
 screen: $(STAMP)
 	tests/screen/run
 
+# The pages build, and their commands and Python print what the pages show.
 docs: $(STAMP)
 	$(BIN)/sphinx-build -q -W --keep-going -n -b html docs docs/_build/html
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal tests/docs
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -7,6 +7,7 @@ description and in the record.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -19,12 +20,14 @@ from classic_ml.whole_record.branches import BranchFit, Specification, design, r
 from classic_ml.whole_record.chain import Chain, PairChain
 from classic_ml.whole_record.passes import Passes
 from classic_ml.whole_record.rakes import Planes, RakeSignals
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 # What a twin takes for the truth holds the cells with a harmonic, and hardly any of the noise.
 HARMONICS = 2.6
 INLET_K_HZ = 60.0
 LEAST_PA = 1e3
+# Of a numerical derivative, where a record has no noise.
+LEAST_STEP_PA = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,14 @@ class Twin:
         The record; its noise and its probes measure the twin.
     flow_kg_s, total_Pa : mapping of str to ndarray of shape (n,)
         Flow and total pressure of each pair, without noise.
+    offset_Pa : float
+        Standard deviation of the error of calibration between the two probes of a pair, plane 25.
     """
 
     signals: RakeSignals
     flow_kg_s: Mapping[str, FloatArray]
     total_Pa: Mapping[str, FloatArray]
+    offset_Pa: float = 0.0
 
     def measured(self, rng: np.random.Generator) -> RakeSignals:
         """Return the twin's readings, with noise and an error of calibration drawn by rng."""
@@ -51,6 +57,7 @@ class Twin:
             pressures = self.total_Pa[pair.name], self.total_Pa[pair.name]
             if pair.name in self.flow_kg_s:
                 pressures = _pressures(self.flow_kg_s[pair.name], pressures[0], pair, chain)
+                pressures = pressures[0], pressures[1] + self.offset_Pa * rng.standard_normal()
             forward = self._read(pressures[0], pair.noise_Pa, rng)
             aft = self._read(pressures[1], pair.noise_aft_Pa, rng)
             total[pair.name] = forward
@@ -105,7 +112,39 @@ def twin_of(
     exit_Pa = _exit_by_model(signals, passes, spec, in_stall, fit, planes, inlet_K)
     shift = exit_Pa - planes.exit_Pa
     total |= {name: values + shift for name, values in total.items() if name.startswith("31")}
-    return Twin(signals, flow, total)
+    low = passes.row[fit.scored & in_stall]
+    return Twin(signals, flow, total, _offset_Pa(signals.chain, flow, total, low))
+
+
+def _offset_Pa(
+    chain: Chain,
+    flow_kg_s: Mapping[str, FloatArray],
+    total_Pa: Mapping[str, FloatArray],
+    rows: IntArray,
+) -> float:
+    """Return by how much the probes of a pair are calibrated apart, from rakes that should agree.
+
+    The near-stall match moves both probes of a pair alike, so the errors of their zero and
+    calibrate readings stay in the difference that makes the flow. It weighs most where the flow is
+    small: in stall, over whole cycles, rakes at one immersion see the same mean flow.
+    """
+    apart: list[float] = []
+    degrees = 0
+    pairs = [pair for pair in chain.of_plane(25) if pair.name in flow_kg_s]
+    for immersion in {pair.immersion for pair in pairs}:
+        alike = [pair for pair in pairs if pair.immersion == immersion]
+        means = np.array([np.mean(flow_kg_s[pair.name][rows]) for pair in alike])
+        for pair, mean in zip(alike, means, strict=True):
+            pressures = _pressures(flow_kg_s[pair.name], total_Pa[pair.name], pair, chain)
+            forward, aft = (each[rows] for each in pressures)
+            law = pair.slope, pair.offset, chain.areas_m2[25], chain.compressor
+            # Over the width of the noise, which the square root of Eq 1 is averaged over.
+            width_Pa = max(pair.noise_aft_Pa, LEAST_STEP_PA)
+            more, less = (pair_flow(forward, aft + end, *law) for end in (-width_Pa, width_Pa))
+            slope = float(np.mean(less - more)) / (2.0 * width_Pa)
+            apart.append(float(mean - np.mean(means)) / slope)
+        degrees += len(alike) - 1
+    return math.sqrt(float(np.sum(np.square(apart))) / degrees) if degrees else 0.0
 
 
 def _exit_by_model(

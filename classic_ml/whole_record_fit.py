@@ -16,12 +16,16 @@ from classic_ml.whole_record.branches import (
     specification,
 )
 from classic_ml.whole_record.interval import (
+    DELAY_STEP_S,
     Scatter,
     delay_of_exit,
+    errors_of,
     jackknife,
     law_of_probes,
     scatter_of,
     variants,
+    with_stored_gas,
+    within_bounds,
 )
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import RakeSignals
@@ -56,6 +60,8 @@ class WholeRecordFit:
     cycles, specification, twins : Scatter
         Scatter over cycles left out, over specifications and over twins; that over twins has
         ``n`` 0 where none were measured.
+    planes : Scatter
+        What the time from plane to plane may do, for every method alike.
     n_cycles : int
         Surge cycles.
     estimated : bool
@@ -74,6 +80,7 @@ class WholeRecordFit:
     cycles: Scatter
     specification: Scatter
     twins: Scatter
+    planes: Scatter
     n_cycles: int
     estimated: bool
     probe_law: float = 0.0
@@ -86,7 +93,7 @@ class WholeRecordFit:
 
     @property
     def share(self) -> float:
-        """Standard deviation of log τ, all of it."""
+        """Standard deviation of log τ but for `planes`, which another method shares."""
         parts = [self.cycles.log_tau, self.specification.log_tau, self.probe_law]
         return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
 
@@ -118,7 +125,7 @@ class WholeRecordFit:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of β."""
+        """Of β, but for `planes`."""
         total = self.cycles.curve + self.specification.curve
         return total + self.twins.curve if self.twins.n else total
 
@@ -131,7 +138,10 @@ class WholeRecordFit:
             return FitState.AT_SEARCH_END
         if not self.estimated:
             return FitState.CONVERGED
-        if abs(self.delay[1]) > self.share:
+        # A single step is none: the responses of the probes differ by as much.
+        late_s, moved = self.delay
+        step_s = max(DELAY_STEP_S, self.passes.sample_period_s)
+        if abs(late_s) > 1.5 * step_s and abs(moved) > self.share:
             return FitState.MISALIGNED
         if self.contradictions > 0.5 * self.n_cycles and self._hub_and_tip_explain_more:
             return FitState.STATES_PART
@@ -180,9 +190,8 @@ def fit_whole_record(
     n_cycles = int(passes.cycle[-1]) + 1
     if not interval:
         nothing = scatter_of((), fit, degree, 1.0)
-        return WholeRecordFit(
-            fit, passes, spec, in_stall, levels, nothing, nothing, nothing, n_cycles, False
-        )
+        parts = nothing, nothing, nothing, nothing
+        return WholeRecordFit(fit, passes, spec, in_stall, levels, *parts, n_cycles, False)
     twins: list[BranchFit] = []
     if n_twins:
         twin = twin_of(signals, passes, spec, in_stall, fit)
@@ -190,6 +199,8 @@ def fit_whole_record(
         twins = [
             _fit_twin(twin, spec, levels, fit.tau_s, rng, window) for _ in progress(range(n_twins))
         ]
+    late_s, on_time = delay_of_exit(signals, passes, spec, in_stall, fit)
+    stored = with_stored_gas(signals, passes, spec, in_stall, fit)
     return WholeRecordFit(
         fit,
         passes,
@@ -198,11 +209,12 @@ def fit_whole_record(
         levels,
         jackknife(passes, spec, in_stall, fit),
         variants(passes, spec, in_stall, fit),
-        scatter_of(twins, fit, degree, math.sqrt(n_twins / max(n_twins - 1, 1))),
+        errors_of(twins, fit, degree),
+        within_bounds((on_time, stored), fit, degree),
         n_cycles,
         True,
         law_of_probes(signals, window, spec, levels, fit),
-        delay_of_exit(signals, passes, spec, in_stall, fit),
+        (late_s, math.log(on_time.tau_s / fit.tau_s)),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from classic_ml.characteristics import polynomial_names
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, profile
-from classic_ml.whole_record.interval import RAMP_MACH
+from classic_ml.whole_record.interval import RAMP_MACH, Scatter
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -231,8 +231,13 @@ class _Answer:
     coefficients: FloatArray
     covariance: FloatArray
 
+    def widened(self, planes: Scatter) -> _Answer:
+        """Return the answer with what the time from plane to plane may do."""
+        share = math.hypot(self.share, planes.log_tau)
+        return replace(self, share=share, covariance=self.covariance + planes.curve)
+
     def with_second(
-        self, second: WholeRunFit, fits: tuple[WholeRecordFit, ...]
+        self, second: WholeRunFit, fits: tuple[WholeRecordFit, ...], planes: Scatter
     ) -> _Answer | Reading:
         """Return the mean with another reading, or that reading where the two part.
 
@@ -243,7 +248,7 @@ class _Answer:
             return self
         share, apart = stderr_s / tau_s, math.log(tau_s) - self.log_tau
         if abs(apart) > APART * math.hypot(share, self.share):
-            reach = math.exp(QUANTILE * share)
+            reach = math.exp(QUANTILE * math.hypot(share, planes.log_tau))
             return Reading(tau_s, (tau_s / reach, tau_s * reach))
         other = min(self.share**2 / (self.share**2 + share**2), LARGEST_WEIGHT)
         own, others = (1.0 - other) * self.share, other * share
@@ -256,16 +261,11 @@ class _Answer:
         own_curve, _ = _mean_curve(
             [_curve_at(math.exp(log_tau), fit) for fit in fits], [fit.covariance for fit in fits]
         )
-        coefficients, covariance = _mean_curve(
+        coefficients, _ = _mean_curve(
             (own_curve, second.coef_), (self.covariance, second.covariance_)
         )
-        return _Answer(
-            log_tau,
-            mean_share,
-            coefficients,
-            # Errors of one record's noise do not average out: half of what independent ones would.
-            (1.0 + CORRELATION) * covariance,
-        )
+        # Both readings see one calibration and one state: the mean of the curves is no surer.
+        return _Answer(log_tau, mean_share, coefficients, self.covariance)
 
 
 def _combined(
@@ -279,12 +279,15 @@ def _combined(
     answer = _Answer(log_tau, share, *curve)
     state = next((f.state for f in fits if f.state is not FitState.CONVERGED), FitState.CONVERGED)
     other = None
+    planes = max((fit.planes for fit in fits), key=lambda each: each.log_tau)
     if second is not None and state is FitState.CONVERGED:
-        found = answer.with_second(second, fits)
+        found = answer.with_second(second, fits, planes)
         if isinstance(found, Reading):
             state, other = FitState.TWO_READINGS, found
         else:
             answer = found
+    # Both readings, and records of one rig, share what the planes do: nothing of it averages out.
+    answer = answer.widened(planes)
     if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
     return _result(records, fits, answer, state, other)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -108,12 +107,12 @@ def analyse(
     from classic_ml.inspect import inspect_file
     from classic_ml.io import read_raw, read_test_description
     from classic_ml.reduction import reduce_record
-    from classic_ml.whole_record_fit import LARGEST_SHARE, N_TWINS
+    from classic_ml.whole_record_fit import N_TWINS
     from comparisons.harness.answer import answer_of
     from comparisons.harness.cautions import unknown_work
     from comparisons.harness.compare import compare_records
     from comparisons.harness.structure_fit import find_structure
-    from comparisons.harness.work_fit import fit_work
+    from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vague
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
 
@@ -143,7 +142,7 @@ def analyse(
         "diagnose",
         lambda: diagnose(series, n_twins=DIAGNOSIS_TWINS if twins else 0, progress=progress),
     )
-    work = tried("work", lambda: fit_work(record, described, progress=progress))
+    work = tried("work", lambda: withheld_if_vague(fit_work(record, described, progress=progress)))
     readings = []
     if structure is not None and not structure.refused:
         fit = structure.fit
@@ -152,14 +151,8 @@ def analyse(
         readings.append(("diagnose", diagnosis.tau_after_s, diagnosis.tau_stderr_s))
     if work is not None:
         readings.append(("work", work.time_constant_s, work.time_constant_stderr_s))
-        share = work.time_constant_stderr_s / work.time_constant_s
-        if math.isnan(work.time_constant_s):
-            refusals["work"] = f"ψ_QS and its τ are not stated: {work.fit_state.advice}"
-        elif share > LARGEST_SHARE:
-            refusals["work"] = (
-                f"ψ_QS is not stated: with τ searched for it is known to {100 * share:.0f} % only; "
-                "hold τ with `sindy-surge work --tau`"
-            )
+        if why := why_withheld(work):
+            refusals["work"] = f"ψ_QS and its τ are not stated: {why}"
     missing = missing_words(diagnosis) if diagnosis else f"not known: {refusals['diagnose']}"
     chosen = comparison.recommended and comparison.result(comparison.recommended).model.ci95_s
     if chosen and diagnosis and not chosen[0] <= diagnosis.tau_after_s <= chosen[1]:

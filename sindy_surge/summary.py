@@ -68,15 +68,15 @@ class ModelSummary:
 
     def _times(self) -> list[Field]:
         parts = self.parts
-        tau, error = parts.time_constant_s, parts.time_constant_stderr_s
+        tau, error = 1e3 * parts.time_constant_s, 1e3 * parts.time_constant_stderr_s
         rows = [("time constant τ", "none: the fit is static")]
         if not parts.is_static:
             interval = _interval(interval95(tau, error), error)
-            rows = [("time constant τ", f"{round_to_error(tau, error)} s")]
-            rows.append(("τ, 95 % interval", f"{interval} s"))
+            rows = [("time constant τ", f"{round_to_error(tau, error)} ms")]
+            rows.append(("τ, 95 % interval", f"{interval} ms"))
         if parts.has_dead_time:
-            dead, error = parts.dead_time_s, parts.dead_time_stderr_s
-            rows.append(("dead time d", f"{round_to_error(dead, error)} s"))
+            dead, error = 1e3 * parts.dead_time_s, 1e3 * parts.dead_time_stderr_s
+            rows.append(("dead time d", f"{round_to_error(dead, error)} ms"))
         return [Field(*row) for row in rows]
 
     def _terms(self) -> Grid:

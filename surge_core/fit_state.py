@@ -71,9 +71,9 @@ class FitState(StrEnum):
     )
     UNCERTAIN = (
         "uncertain",
-        "The record does not hold the time constant: cycles, the choices of the fit and the noise "
-        "of the probes together leave more than 12 %. Take a longer record, or one with more "
-        "passes through forward flow.",
+        "The record does not hold the time constant: cycles, the choices of the fit, the noise of "
+        "the probes and the time from plane to plane together leave more than 12 %. Take a longer "
+        "record, or one with more passes through forward flow.",
     )
     TWIN_BIASED = (
         "twin_biased",

@@ -1,8 +1,9 @@
 """What is not known of τ: cycles, what the fit takes for granted, and the measurement itself.
 
-A jackknife over cycles cannot see what all cycles share: the specification of the fit, and the
-errors of calibration and of noise near zero flow. The first is varied; the second is drawn again
-by measuring a twin of the record.
+A jackknife over cycles cannot see what all cycles share: the specification of the fit, the errors
+of calibration and of noise near zero flow, and what Eq 5 leaves out between the planes. The first
+is varied; the second is drawn again by measuring a twin of the record; the third lies between
+bounds that the record and the duct give.
 """
 
 from __future__ import annotations
@@ -128,22 +129,60 @@ def law_of_probes(
 
 def delay_of_exit(
     signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
-) -> tuple[float, float]:
-    """Return by how much plane 31 seems late, in seconds, and log τ without that less log τ.
+) -> tuple[float, BranchFit]:
+    """Return by how much plane 31 seems late, in seconds, and the fit without that.
 
-    A time shift between the planes is read as lag; the least error over shifts shows it. A single
-    step is none: the responses of the probes differ by as much.
+    A time shift between the planes is read as lag; the least error over shifts shows it, to a part
+    of a step by the parabola through the three least.
     """
     rows = max(passes.rows_of(DELAY_STEP_S), 1)
-    best = (fit.cost, 0, 0.0)
-    for step in (*range(-DELAY_STEPS, 0), *range(1, DELAY_STEPS + 1)):
-        exit_Pa = np.roll(passes.planes.exit_Pa, -step * rows)
-        _, psi_p, _ = signals.coefficients(replace(passes.planes, exit_Pa=exit_Pa))
-        moved = np.where(np.isfinite(psi_p[passes.row]), psi_p[passes.row], passes.psi_p)
-        other = fit_branches(replace(passes, psi_p=moved), spec, in_stall, near_s=fit.tau_s)
-        best = min(best, (other.cost, step, math.log(other.tau_s / fit.tau_s)))
-    _, step, log_tau = best
-    return (step * rows * passes.sample_period_s, log_tau) if abs(step) > 1 else (0.0, 0.0)
+    index = np.arange(passes.planes.exit_Pa.size)
+
+    def without(steps: float) -> BranchFit:
+        exit_Pa = np.interp(index + steps * rows, index, passes.planes.exit_Pa)
+        planes = replace(passes.planes, exit_Pa=exit_Pa)
+        return _with_psi_p(signals.coefficients(planes)[1], passes, spec, in_stall, fit)
+
+    tried = range(-DELAY_STEPS, DELAY_STEPS + 1)
+    costs = [without(step).cost if step else fit.cost for step in tried]
+    best = int(np.argmin(costs))
+    late = float(tried[best])
+    if 0 < best < len(tried) - 1:
+        before, least, after = costs[best - 1 : best + 2]
+        if before + after > 2.0 * least:
+            late += 0.5 * (before - after) / (before - 2.0 * least + after)
+    return late * rows * passes.sample_period_s, without(late)
+
+
+def with_stored_gas(
+    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
+) -> BranchFit:
+    """Fit ψ' whose inertia acts on the flow in the middle of the duct between the planes.
+
+    Eq 5 takes the flow of plane 25 for that of the whole duct, as if waves took no time from plane
+    to plane. In a duct that stores gas evenly its middle passes less by half of what is stored.
+    """
+    psi_p = signals.coefficients(passes.planes, stored=True)[1]
+    return _with_psi_p(psi_p, passes, spec, in_stall, fit)
+
+
+def _with_psi_p(
+    psi_p: FloatArray, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
+) -> BranchFit:
+    moved = psi_p[passes.row]
+    other = replace(passes, psi_p=np.where(np.isfinite(moved), moved, passes.psi_p))
+    return fit_branches(other, spec, in_stall, near_s=fit.tau_s)
+
+
+def within_bounds(moved: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
+    """Return the spread where each moved fit shows how far off the truth may be, and no more.
+
+    Between bounds of ± a with nothing known inside the standard deviation is a/√3 (Guide to the
+    Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
+    """
+    logs = np.log([each.tau_s / fit.tau_s for each in moved])
+    apart = np.array([(each.coefficients - fit.coefficients)[: degree + 1] for each in moved])
+    return Scatter(math.sqrt(float(logs @ logs) / 3.0), 0.0, apart.T @ apart / 3.0, len(moved))
 
 
 def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:
@@ -162,3 +201,13 @@ def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: 
         widened**2 * (apart.T @ apart) / len(fits),
         len(fits),
     )
+
+
+def errors_of(twins: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
+    """Return the scatter of twins, of the curve about the fit, which is the truth of theirs."""
+    scatter = scatter_of(twins, fit, degree, math.sqrt(len(twins) / max(len(twins) - 1, 1)))
+    if len(twins) < 2:
+        return scatter
+    own = fit.coefficients[: degree + 1]
+    apart = np.array([each.coefficients[: degree + 1] - own for each in twins])
+    return replace(scatter, curve=apart.T @ apart / len(twins))

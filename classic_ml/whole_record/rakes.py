@@ -19,6 +19,8 @@ from surge_core.types import BoolArray, FloatArray
 # The fourth difference passes white noise with the square of its coefficients and hardly any of
 # what is slower than a tenth of the sample rate.
 DIFFERENCE, GAIN = 4, 70.0
+# Below this share of P25 a P31 is noise.
+LEAST_RATIO = 1e-3
 INLET, COUNTS = "T25_unfiltered_K", "readings_count"
 
 
@@ -131,26 +133,44 @@ class RakeSignals:
             over = over | ~(pressure > 0.0)
         return np.asarray(over)
 
-    def coefficients(self, planes: Planes) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return φ (Eq 7), ψ' (Eq 5) and N_c of plane averages; NaN where they have none."""
+    def coefficients(
+        self, planes: Planes, *, stored: bool = False
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return φ (Eq 7), ψ' (Eq 5) and N_c of plane averages; NaN where they have none.
+
+        With ``stored`` the inertia acts on the flow in the middle between the planes.
+        """
         machine, speed = self.chain.compressor, self.chain.rotor_velocity_m_s
         area_m2 = self.chain.areas_m2[25]
         limit = self.chain.largest_flow_kg_s(25)
         flow = np.clip(planes.corrected_kg_s, -limit, limit)
         phi = flow_coefficient(flow, self.inlet_K, area_m2, speed, machine)
         with np.errstate(invalid="ignore"):
-            rate = rate_of_change(
-                physical_flow(planes.corrected_kg_s, planes.inlet_Pa, self.inlet_K),
-                self.sample_period_s,
-            )
+            accelerated = physical_flow(planes.corrected_kg_s, planes.inlet_Pa, self.inlet_K)
+            if stored:
+                gas_kg = self._gas_between(planes)
+                accelerated = accelerated - 0.5 * rate_of_change(gas_kg, self.sample_period_s)
+            rate = rate_of_change(accelerated, self.sample_period_s)
             # Where the noise of dW/dt leaves no pressure the row is left out by its NaN.
-            least = 1e-3 * planes.inlet_Pa - machine.inertia_per_m * rate
+            least = LEAST_RATIO * planes.inlet_Pa - machine.inertia_per_m * rate
             exit_Pa = np.maximum(planes.exit_Pa, least)
             psi_p = pressure_coefficient(
                 planes.inlet_Pa, exit_Pa, self.inlet_K, rate, machine.inertia_per_m, speed, machine
             )
         psi_p = np.where(exit_Pa > planes.exit_Pa, np.nan, psi_p)
         return phi, psi_p, self.chain.corrected_speed(self.inlet_K)
+
+    def _gas_between(self, planes: Planes) -> FloatArray:
+        """Return the mass between the planes in kg, its state halfway, compressed isentropically.
+
+        Of the inlet's temperature the mean: twice differentiated, its noise is all there is.
+        """
+        machine = self.chain.compressor
+        ratio = np.maximum(planes.exit_Pa / planes.inlet_Pa, LEAST_RATIO)
+        hotter = ratio ** (1.0 - 1.0 / machine.gamma)
+        pressure_Pa = 0.5 * (planes.inlet_Pa + planes.exit_Pa / hotter)
+        gas_J_kg = machine.gas_constant_J_kg_K * float(np.mean(self.inlet_K[self.counts]))
+        return np.asarray(machine.internal_volume_m3 * pressure_Pa / gas_J_kg)
 
     def ramped(self, below: float) -> RakeSignals:
         """Return the flows by a law of the probes that has no jump at zero flow.

@@ -55,19 +55,23 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     for method in given.method:
         OwnMethod(method).check()
     records = read_records(given.series)
-    comparison, work = _compare(records, given)
+    by_rise = _by_rise(records)
+    comparison, work = _compare(records, given, fit_work=not by_rise)
     title = ", ".join(Path(record.source).name for record in records)
 
-    stated = None if _by_rise(records) else work
     answer = answer_of(comparison)
-    section = ReportSection(title=title, comparison=comparison, work=stated, answer=answer)
+    section = ReportSection(title=title, comparison=comparison, work=work, answer=answer)
     pages = report_pages([section]) if given.report or given.figures else []
 
     def page() -> str:
         head = f"Comparison on {title}"
         return render_page(pages, title=head, command=command_line(), progress=drawing)
 
-    written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
+    def document() -> dict[str, Any]:
+        found = comparison_document(comparison, work)
+        return {"work_coefficient": None, **found} if by_rise else found
+
+    written = write_asked(given, json=document, report=page)
     if given.save:
         models = {name: model for fit in (comparison, work) if fit for name, model in fit.models}
         save_models(models, given.save, comparison.recommended, records)
@@ -78,9 +82,9 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         "",
         f"Pressure coefficient ψ' of {title}\n\n{comparison_table(comparison)}\n",
     ]
-    if stated is not None:
-        lines.append(f"Work coefficient ψ of {title}\n\n{comparison_table(stated)}\n")
-    return *lines, *_by_rise(records), *written
+    if work is not None:
+        lines.append(f"Work coefficient ψ of {title}\n\n{comparison_table(work)}\n")
+    return *lines, *by_rise, *written
 
 
 def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
@@ -92,7 +96,7 @@ def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
 
 
 def _compare(
-    records: Sequence[CoefficientSeries], given: argparse.Namespace
+    records: Sequence[CoefficientSeries], given: argparse.Namespace, *, fit_work: bool
 ) -> tuple[Comparison, Comparison | None]:
     from comparisons.harness.compare import compare_records
 
@@ -102,9 +106,7 @@ def _compare(
         "progress": fitting,
     }
     comparison = compare_records(records, estimators=_specs(given), **options)
-    if any(record.psi is None for record in records):
-        return comparison, None
-    if _by_rise(records) and not (given.json or given.save):
+    if not fit_work or any(record.psi is None for record in records):
         return comparison, None
     try:
         return comparison, compare_records(records, target="psi", **options)

@@ -19,7 +19,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     _check_options(given)
     test = None if given.test is None else read_test_description(given.test)
     match = None
-    with shown_steps(1 if test is None else 2) as begin:
+    with shown_steps([0.3] if test is None else [0.3, 1.5]) as begin:
         begin("looking through the file")
         layout = None if test is None else test.file
         inspection = inspect_file(given.file, layout, group=given.group)

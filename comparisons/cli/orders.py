@@ -20,7 +20,7 @@ ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
 NO_TAU = (
     "no τ of this table is to be quoted, that of the best row included: the pressures were "
-    "low-passed before the flow equation, which biases it by half and more. `sindy-surge compare` "
+    "low-passed before the flow equation, which biases it. `sindy-surge compare` "
     "states the τ to quote, from one free run through the unfiltered signals."
 )
 
@@ -52,17 +52,21 @@ def _lines(table: OrderTable, *, biased: bool) -> list[str]:
     from surge_core.rounding import round_to_error
 
     lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
-    for row in table.rows[:ROWS_SHOWN]:
+    shown = table.rows[:ROWS_SHOWN]
+    if table.recommended not in shown:
+        shown = (*shown, table.recommended)
+    for row in shown:
         tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
         mark = "*" if row == table.recommended and not biased else " "
         lines.append(
             f"{mark}{row.name:27s}{row.bic:9.1f}{row.aicc:9.1f}{row.held_out_rms:10.4g}{tau:>14s}"
             f"  {'yes' if row.white else 'no':5s}  {row.state}"
         )
-    if len(table.rows) > ROWS_SHOWN:
-        lines.append(f"and {len(table.rows) - ROWS_SHOWN} more (--json holds all)")
-    lead = "predicts these rows best" if biased else "recommended"
-    lines.append(f"{lead}: {table.recommended.name}: {table.reason}")
+    if len(table.rows) > len(shown):
+        lines.append(f"and {len(table.rows) - len(shown)} more (--json holds all)")
+    lines.append(
+        _best(table) if biased else f"recommended: {table.recommended.name}: {table.reason}"
+    )
     if len(table.ties) > 1:
         lines.append("no worse within an error: " + "; ".join(row.name for row in table.ties[1:]))
     if biased:
@@ -70,12 +74,18 @@ def _lines(table: OrderTable, *, biased: bool) -> list[str]:
     return lines
 
 
+def _best(table: OrderTable) -> str:
+    """Name the row that predicts best where none is recommended."""
+    return f"predicts these rows best: {table.recommended.name}: {table.reason}"
+
+
 def _document(table: OrderTable, sources: list[str], caution: Caution | None) -> dict[str, Any]:
     return {
         "schema": ORDERS_SCHEMA,
         "records": sources,
-        "recommended": asdict(table.recommended),
-        "reason": table.reason,
+        # No row whose τ is biased is recommended; the reason names the one that predicts best.
+        "recommended": asdict(table.recommended) if caution is None else None,
+        "reason": table.reason if caution is None else _best(table),
         "quotable_tau": caution is None,
         "cautions": [caution.text] if caution else [],
         "ties": [asdict(row) for row in table.ties],

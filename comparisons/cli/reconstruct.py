@@ -48,8 +48,9 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         json=lambda: _document(runs, recommended),
         report=lambda: _page(runs),
     )
-    words = f"recommended by compare: {recommended}, whose τ and curve are to be quoted."
-    return reconstruction_table(runs), *([words] if recommended in models else []), *written
+    words = f"recommended by compare for ψ': {recommended}, whose τ and curve are to be quoted."
+    shown = recommended in models and any(run.model.target == "psi_p" for run in runs)
+    return reconstruction_table(runs), *([words] if shown else []), *written
 
 
 def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[str, Any]:

@@ -18,7 +18,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     _check_options(given)
     write = _distributed if given.rig == "distributed" else _lumped
-    with shown_steps(2) as begin:
+    with shown_steps([2.0, 0.3]) as begin:
         begin("running the rig")
         finish = write(given)
         begin("writing")

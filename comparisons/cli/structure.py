@@ -17,7 +17,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.show.json_output import structure_document
     from comparisons.show.structure_output import structure_parts, structure_text
 
-    with shown_steps(3) as begin:
+    with shown_steps([0.3, 1.5, 0.2]) as begin:
         begin("reading")
         records = read_records(given.series)
         begin("choosing terms")

@@ -17,7 +17,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.show.work_output import work_document, work_table
 
     breakpoints = _pair(given.breakpoints)
-    with shown_steps(2) as begin:
+    with shown_steps([0.3, 3.0]) as begin:
         begin("reading")
         record, test = read_raw(given.raw, given.test)
         begin("reducing and fitting")

@@ -63,7 +63,7 @@ def answer_of(
         label=first.label,
         why=_believed(comparison, first) if chosen else _not_believed(comparison),
         others=_others(*tau, readings) if chosen else "",
-        curve=_curve(comparison, first),
+        curve=_curve(comparison, first) if chosen else None,
         verdict=verdict,
         missing=missing,
         refused=(*_refused(comparison), *refused),
@@ -87,7 +87,11 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     words = (
         f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
     )
-    aside = "".join(
+    # What its interval lacks where no twins were measured.
+    lacking = "".join(
+        f" {text[:1].upper()}{text[1:]}." for text in first.remarks if text.startswith("no twins")
+    )
+    aside = lacking + "".join(
         f" {other.label[:1].upper()}{other.label[1:]} reads "
         f"{significant(1e3 * other.model.time_constant_s, 3)} ms and is not quoted: it failed "
         f"{', '.join(other.failed)}."
@@ -154,11 +158,14 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
     vague: list[str] = []
     for name, value_s, error_s in readings:
         if math.isfinite(value_s):
-            said = f"{name} {round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
+            reading = f"{round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
             far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
             # Nearly anything agrees with a reading that would not be stated by itself.
             known = error_s <= LARGEST_SHARE * value_s
-            (vague if not known else apart if far else agree).append(said)
+            if known:
+                (apart if far else agree).append(f"{name} {reading}")
+            else:
+                vague.append(f"{name} ({reading})")
     words = []
     if agree:
         words.append(f"It agrees with {', '.join(agree)}.")
@@ -168,7 +175,8 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
             "difference is explained."
         )
     if vague:
-        words.append(f"Known too vaguely to agree or not: {', '.join(vague)}.")
+        are = "is" if len(vague) == 1 else "are"
+        words.append(f"{' and '.join(vague)} {are} too uncertain to compare.")
     return " ".join(words)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -18,6 +19,11 @@ from comparisons.results import Caution, EstimatorResult, FitRows
 SPEED_SPREAD = 0.03
 # Estimators that differ by more than this in τ are not measuring one thing.
 TAU_AGREEMENT = 0.15
+# How the ledger words a probe that was left out for its range.
+BEYOND = re.compile(
+    r"beyond its limits in (?P<of>\d+) of (?P<all>[1-9]\d*) rows "
+    r"(?P<place>in the window|at near stall)"
+)
 # Corners this far apart are two filters: of one filter, corners are read up to twice apart.
 CORNER_RATIO = 2.5
 
@@ -53,11 +59,12 @@ def tau_caution(
     histories : iterable of sequence of LedgerEntry
         Ledgers of the records.
     target : {"psi_p", "psi"}
-        The coefficient whose τ it is: only that of ψ' was measured to come out high, 29 to 31 ms
-        over seeds of the simulated rig, whose truth is 18 ms, with armax and the default
-        reduction (zero phase).
+        The coefficient whose τ it is: only that of ψ' was measured to be biased: 29 to
+        31 ms over seeds of the simulated rig, whose truth is 18 ms, with armax and the default
+        reduction (zero phase); on other machines it comes out low.
     quotable : sequence of str
-        Estimators that were fitted to unfiltered signals and whose τ may be quoted.
+        Estimators that were fitted to unfiltered signals and whose τ may be quoted, the
+        recommended first.
 
     Returns
     -------
@@ -69,7 +76,7 @@ def tau_caution(
         return None
     at = " and ".join(f"{cutoff:g}" for cutoff in sorted(cutoffs))
     code = "quote_tau" if quotable else "tau_biased"
-    return Caution.of(code, cutoff_hz=at, estimators=" and ".join(quotable))
+    return Caution.of(code, cutoff_hz=at, estimators=next(iter(quotable), ""))
 
 
 def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
@@ -79,11 +86,21 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
     if not why:
         return None
     lost = [
-        f"{d.what}: {d.why}"
+        (d.what, d.why)
         for entry, d in dropped
         if entry.step == "choose channels" and d.what.startswith("T31")
     ]
-    return Caution.of("psi_unknown", why=why[0] + (f" ({'; '.join(lost)})" if lost else ""))
+    matched = [BEYOND.match(each) for _, each in lost]
+    beyond = [found for found in matched if found]
+    if not beyond or len(beyond) < len(lost):
+        said = "; ".join(f"{what}: {each}" for what, each in lost)
+        return Caution.of("psi_unknown", why=why[0] + (f" ({said})" if said else ""))
+    n, share = len(beyond), min(int(found["of"]) / int(found["all"]) for found in beyond)
+    probes = "its probe was" if n == 1 else f"{'both' if n == 2 else f'all {n}'} T31 probes were"
+    place = "window" if beyond[0]["place"] == "in the window" else "rows at near stall"
+    limits = f"beyond {'its' if n == 1 else 'their'} limits in {100 * share:.0f} % of the {place}"
+    words = f"it needs T31, and {probes} {limits}"
+    return Caution.of("psi_unknown", why=words)
 
 
 def psi_by_rise(history: Sequence[LedgerEntry]) -> Caution | None:
@@ -162,13 +179,12 @@ def _shared_rows(results: tuple[EstimatorResult, ...]) -> list[Caution]:
         return []
     if all(whole.values()):
         shared = (
-            "they read the same probes, the stall cells cancelled alike, though sindy scores rows "
-            "in stall averaged over a cell period and classic_ml both branches on a shorter average"
+            "Both use the same probes"
             if isinstance(whole["classic_ml"], WholeRecordRun)
-            else "both score the same rows in stall, averaged alike"
+            else "Both use the same rows in stall"
         )
     elif not any(whole.values()):
-        shared = "both are fitted to the same rows"
+        shared = "Both are fitted to the same rows"
     else:
         return []
     return [Caution.of("shared_rows", shared=shared)]

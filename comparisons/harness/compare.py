@@ -111,7 +111,8 @@ def compare_records(
         *([biased] if biased else []),
         *comparison_cautions(records, rows, results),
     )
-    valid_phi = trusted_range(rows.phi)
+    first = next(result for result in results if result.name == table[0].estimator)
+    valid_phi = first.model.valid_phi
     return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
 
 
@@ -288,10 +289,13 @@ def _table(
 ) -> tuple[ComparisonRow, ...]:
     """Set the estimator whose τ is to be quoted first, then order by trust."""
 
-    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int]:
-        # No error of a free run: a low one is no evidence of a right τ.
+    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, bool, int]:
+        # No error of a free run: a low one is no evidence of a right τ. A whole run that withholds
+        # its τ says more than a fit to low-passed rows that is known to have failed.
+        failed = not result.converged or bool(result.failed)
         return (
             quotable.index(result.name) if result.name in quotable else len(quotable),
+            result.whole_run is None and failed,
             not result.converged,
             not result.model.measured,
             len(result.failed),

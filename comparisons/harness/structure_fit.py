@@ -161,4 +161,8 @@ def _whole_or_rows(records: Sequence[CoefficientSeries], needs: Sequence[str]) -
         return False, f"the rows of the segments{why}"
     if needs:
         return False, f"the rows of the segments, because of {' and '.join(needs)}"
-    return True, "one free run through each unfiltered record, as compare does (not with --rows)"
+    return (
+        True,
+        "fitted in one simulation through the unfiltered record (use --rows to fit the segments "
+        "only)",
+    )

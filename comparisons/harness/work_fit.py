@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from classic_ml.records import counted
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
+from classic_ml.whole_record_fit import LARGEST_SHARE
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 if TYPE_CHECKING:
     from classic_ml.io import TestDescription
@@ -87,3 +91,61 @@ def fit_work(
     pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
     fits = [fitted(pair) for pair in progress(pairs)]
     return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
+
+
+def why_withheld(fit: WorkCharacteristic) -> str:
+    """Say why a fit states neither τ nor curve; empty where it states both.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
+    if math.isfinite(fit.time_constant_s):
+        return ""
+    if fit.fit_state is FitState.UNCERTAIN:
+        return (
+            f"τ or the curve is known to no better than {100 * LARGEST_SHARE:.0f} %; hold τ with "
+            "`sindy-surge work --tau`, or take a longer record."
+        )
+    if fit.fit_state is FitState.LAG_UNDETERMINED:
+        cycles = counted(fit.n_cycles, "cycle")
+        return f"{cycles} are too few to find τ: its error is as large as τ itself."
+    return fit.fit_state.advice
+
+
+def is_vague(fit: WorkCharacteristic) -> bool:
+    """Return whether τ or the curve is known worse than a whole run's τ may be.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
+    if not math.isfinite(fit.time_constant_s):
+        return False
+    value, error = fit.characteristic(np.linspace(*fit.valid_phi, GRID_POINTS))
+    curve_share = float(np.mean(error) / np.mean(np.abs(value)))
+    return max(fit.time_constant_stderr_s / fit.time_constant_s, curve_share) > LARGEST_SHARE
+
+
+def withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
+    """Return a fit without numbers where one is vague, as an answer states it.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        As :func:`fit_work` returns it.
+    """
+    if not is_vague(fit):
+        return fit
+    known = {k: v for k, v in fit.entry.parameters.items() if k != "time_constant_s"}
+    return replace(
+        fit,
+        time_constant_s=math.nan,
+        time_constant_stderr_s=math.nan,
+        coef=np.full_like(fit.coef, math.nan),
+        covariance=np.full_like(fit.covariance, math.nan),
+        fit_state=FitState.UNCERTAIN,
+        entry=replace(fit.entry, parameters=known),
+    )

@@ -10,30 +10,30 @@ from surge_core.types import FloatArray
 
 # An autoregression must win this much more than its parameters cost (in log-units of BIC).
 RELUCTANCE = 3.0
+# Highest order that is tried.
+MOST_LAGS = 4
 # Fewer rows than this many a lag tell no colour.
 ROWS_PER_LAG = 20
 
 
-def autoregression(pieces: Sequence[FloatArray], most_lags: int) -> FloatArray:
-    """Return the autoregression of errors in several pieces; empty where they are white.
+def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
+    """Return the rows from error to error, and their autoregression; empty where they are white.
 
     Parameters
     ----------
-    pieces : sequence of ndarray
-        Errors; no equation straddles two pieces.
-    most_lags : int
-        Highest order that is tried.
+    errors : sequence of ndarray
+        Of each run; not a number where there is none. No equation looks across a longer gap.
     """
+    rows = [np.flatnonzero(~np.isnan(e)) for e in errors]
+    steps, counts = np.unique(np.concatenate([np.diff(r) for r in rows]), return_counts=True)
+    stride = int(steps[np.argmax(counts)]) if steps.size else 1
     lagged, target = [], []
-    for e in pieces:
-        if e.size <= most_lags:
-            continue
-        at = np.arange(most_lags, e.size)
-        lagged.append(np.column_stack([e[at - back] for back in range(1, most_lags + 1)]))
-        target.append(e[at])
-    if not lagged:
-        return np.zeros(0)
-    return _chosen(np.concatenate(lagged), np.concatenate(target))
+    for one, there in zip(errors, rows, strict=True):
+        for piece in np.split(there, np.flatnonzero(np.diff(there) != stride) + 1):
+            e, at = one[piece], np.arange(MOST_LAGS, piece.size)
+            lagged.append(np.column_stack([e[at - back] for back in range(1, MOST_LAGS + 1)]))
+            target.append(e[at])
+    return stride, _chosen(np.concatenate(lagged), np.concatenate(target))
 
 
 def _chosen(lagged: FloatArray, target: FloatArray) -> FloatArray:

@@ -1,17 +1,21 @@
-"""Candidates of a round: each effect fitted jointly with τ and characteristic, and weighed."""
+"""A lag series as the search works on it: each effect fitted jointly with τ and characteristic."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.episodes import errors_on
-from comparisons.missing_effect.evidence import Evidence, Rows, evidence_of
+from comparisons.missing_effect.evidence import Rows, Tie
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.leftover import LEFTOVER_P, Leftover, leftover_of
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
 from comparisons.missing_effect.open_terms import with_own_state, with_state
@@ -23,6 +27,9 @@ from surge_core.types import FloatArray
 # A score that promises less than this many log-units is not fitted: no threshold is that low.
 LEAST_PROMISE = 6.0
 LEAST_PROMISE_SHARE = 0.01
+MOST_OPEN_FITS = 3
+# Second effects that are tried beside a first one.
+PAIR_TAILS = 3
 # A ripple brings two columns an episode, and the best of many frequencies always looks like
 # something: it is fitted when it is no chance, and not a part of what another explains better.
 LARGEST_CHANCE = 0.01
@@ -35,53 +42,15 @@ MOST_NUDGES = 3
 # A candidate whose score is below this share of the best one's is not fitted to all rows.
 RUNNING_SHARE = 0.5
 STATE_SETTLED = 0.1
+# Rows of a series are many and their noise is white or known: a few log-units part two models.
+SERIES = Policy(term=Tie(6.0, 0.0, 3.0, -1.0), stops_clean=True)
+
+LagCandidate = Candidate[Effect, Fit]
+LagRound = Round[Effect, Fit]
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A model with something added, fitted to the fitted rows and run on all.
-
-    Parameters
-    ----------
-    added : tuple of Effect
-        What it has that the base has not.
-    fit : Fit
-        The fit.
-    errors : ndarray of shape (n,)
-        Whitened errors on all rows.
-    evidence : Evidence
-        For it, against the base.
-    whole : Fit, optional
-        A fit to all rows, where the candidate was still in the running.
-    whole_errors : ndarray of shape (n,), optional
-        Whitened errors of that fit.
-    rank : float
-        Log-units that it wins on all rows, less half log n a number: what accepted candidates are
-        ranked by. Held-out gains decide whether a name is accepted, not which one: of two right
-        forms the one with more freedom would lose where few fitted rows lay.
-    """
-
-    added: tuple[Effect, ...]
-    fit: Fit
-    errors: FloatArray
-    evidence: Evidence
-    whole: Fit | None = None
-    whole_errors: FloatArray | None = None
-    rank: float = float("-inf")
-
-    @property
-    def name(self) -> str:
-        """Identifier."""
-        return " + ".join(effect.name for effect in self.added)
-
-    @property
-    def unnamed(self) -> bool:
-        """Whether an open term is part of it."""
-        return any(effect.unnamed for effect in self.added)
-
-
-@dataclass(frozen=True)
-class Bench:
+class Bench(System[Effect, Fit]):
     """Records, the model that stands so far, and the metric in which candidates are weighed.
 
     Parameters
@@ -103,6 +72,7 @@ class Bench:
     metric: Metric
     block_rows: int
     n_names: int
+    policy: Policy = SERIES
 
     @classmethod
     def start(
@@ -110,15 +80,15 @@ class Bench:
         data: LagData,
         structure: Structure,
         metric: Metric,
-        nonlinear: FloatArray,
+        starts: Sequence[FloatArray],
         block_rows: int,
         n_names: int,
-    ) -> Bench:
-        """Fit a model and set it on the bench."""
-        fit = fit_structure(structure, data.train, metric.on(data.train_rows), [nonlinear])
+    ) -> Self:
+        """Fit a model from the best of several starts, and set it on the bench."""
+        fit = fit_structure(structure, data.train, metric.on(data.train_rows), starts)
         return cls(data, fit, metric, block_rows, n_names).with_states()
 
-    def with_states(self) -> Bench:
+    def with_states(self) -> Self:
         """Return the bench with the state that open terms need, as its model simulates it."""
         return replace(self, data=with_state(self.data, self.fit))
 
@@ -132,7 +102,7 @@ class Bench:
         """The metric on what is fitted."""
         return self.metric.on(self.data.train_rows)
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
         """Parts and blocks in the metric."""
         return Rows.of(self.data.part, self.metric.rows(self.data) > 0.0, self.block_rows)
@@ -141,9 +111,10 @@ class Bench:
         """Return the score tests against the model."""
         return Prober(self.fit, self.train, self.train_metric)
 
-    def errors(self, fit: Fit) -> FloatArray:
-        """Return whitened errors of a fit on all rows."""
-        return errors_on(fit, with_own_state(self.data, fit), self.metric)[0]
+    @cached_property
+    def base_errors(self) -> FloatArray:
+        """Whitened errors of the model on all rows."""
+        return self.errors_of(self.fit)[0]
 
     def promising(self, probes: Sequence[Probe], most: int | None = None) -> list[Probe]:
         """Return the probes that are worth a fit, best first."""
@@ -183,23 +154,6 @@ class Bench:
                 break
         return fit
 
-    def weighed(self, fit: Fit, added: Sequence[Effect], base: FloatArray) -> Candidate:
-        """Run a fit on all rows and weigh it against the errors of the model."""
-        rows, data = self.rows, with_own_state(self.data, fit)
-        errors, phases = errors_on(fit, data, self.metric)
-        searched = float(np.prod([effect.searched * self.n_names for effect in added]))
-        evidence = evidence_of(
-            rows,
-            base,
-            errors,
-            added=fit.n_parameters - self.fit.n_parameters,
-            searched=searched,
-            episodes=phases,
-        )
-        if fit.structure.at_end(fit.nonlinear):
-            evidence = replace(evidence, at_end=True)
-        return Candidate(tuple(added), fit, errors, evidence)
-
     def everywhere(self) -> Bench:
         """Return the bench with all rows fitted."""
         part = np.zeros(self.data.n_samples, dtype=np.int8)
@@ -208,43 +162,8 @@ class Bench:
         fit = fit_structure(self.fit.structure, data, self.metric, [start])
         return replace(self, data=data, fit=fit)
 
-    def ranked(self, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Fit what is still in the running to all rows; return all, best first.
-
-        Parameters
-        ----------
-        candidates : sequence of Candidate
-            Weighed.
-        """
-        accepted = [c.evidence.score for c in candidates if c.evidence.accepted]
-        least = RUNNING_SHARE * max(accepted, default=np.inf)
-        every: Bench | None = None
-        out = []
-        for candidate in candidates:
-            if not candidate.evidence.accepted or candidate.evidence.score < least:
-                out.append(candidate)
-                continue
-            every = every or self.everywhere()
-            out.append(every.ranked_one(candidate))
-        return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
-
-    def ranked_one(self, candidate: Candidate) -> Candidate:
-        """Return a candidate with its fit to all rows of this bench, which fits all."""
-        whole = self.refitted(candidate.fit)
-        price = 0.5 * float(np.log(max(self.rows.n_fitted, 2)))
-        added = whole.n_parameters - self.fit.n_parameters
-        rank = self.fit.cost - whole.cost - price * added
-        errors = whole.errors(with_own_state(self.data, whole), self.metric)
-        return replace(candidate, whole=whole, whole_errors=errors, rank=rank)
-
     def refitted(self, fit: Fit) -> Fit:
-        """Return a model fitted again to what this bench fits.
-
-        Parameters
-        ----------
-        fit : Fit
-            Where to start.
-        """
+        """Return a model fitted again to what this bench fits."""
         metric = self.train_metric
         data = with_own_state(self.train, fit)
         start = fit.structure.adapted(data, fit.nonlinear)
@@ -277,6 +196,138 @@ class Bench:
         )
         return replace(self, metric=metric, fit=again).with_states()
 
+    def without(self, effect: Effect) -> Bench:
+        """Return the bench with one effect taken out of its model and the rest fitted again."""
+        structure, nonlinear = self.fit.structure.without(effect, self.fit.nonlinear)
+        fit = fit_structure(structure, self.train, self.train_metric, [nonlinear])
+        return replace(self, fit=fit).with_states()
+
+    def tried(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Tried[Effect, Fit]:
+        """Fit all that promises something to the end, in the metric of the best."""
+        prober, present = self.prober(), self.fit.structure.names
+        named, terms = (
+            [prober.probe(effect) for effect in some if effect.name not in present]
+            for some in (effects, library)
+        )
+        probes = [*self.promising(named), *self.promising(terms, MOST_OPEN_FITS)]
+        fits = [self.fitted(probe) for probe in probes]
+        price = 0.5 * float(np.log(self.train.n_samples))
+        best = min([*fits, self.fit], key=lambda fit: fit.cost + price * fit.n_parameters)
+        noise = self.noise(self._with_ripple(best, effects))
+        moved = self.in_metric_of(best, noise)
+        was_white = self.metric.ar.size == 0 and self.metric.flow is None
+        if noise.coloured or noise.heavy_tailed or not was_white:
+            own = [(fit.nonlinear[self.fit.nonlinear.size :],) for fit in fits]
+            again = [replace(p, starts=start) for p, start in zip(probes, own, strict=True)]
+            fits = [moved.fitted(probe) for probe in again]
+        return Tried(moved, [p.candidate(f) for p, f in zip(probes, fits, strict=True)])
+
+    def _with_ripple(self, best: Fit, effects: Sequence[Effect]) -> Fit:
+        """Return the best fit with a ripple beside it where its errors hold one.
+
+        An autoregression would take a line of the spectrum for the colour of the noise.
+        """
+        ripple = next((effect for effect in effects if effect.episodes), None)
+        if ripple is None or any(e.episodes or e.unnamed for e in best.structure.effects):
+            return best
+        moved = replace(self, fit=best)
+        probe = moved.prober().probe(ripple)
+        least = probe.degrees * np.log(self.train.n_samples)
+        return moved.fitted(probe) if probe.chance < LEFTOVER_P and probe.gain > least else best
+
+    def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
+        """Return whitened errors on all rows, and what phases fitted there cost."""
+        return errors_on(fit, with_own_state(self.data, fit), self.metric)
+
+    def searched(self, added: Sequence[Effect]) -> float:
+        """Return how many trials the search for effects was worth, all names counted."""
+        return float(np.prod([effect.searched * self.n_names for effect in added]))
+
+    def judged(self, candidate: LagCandidate) -> LagCandidate:
+        """Return a candidate with whether τ ran to the end of its search; not ranked yet."""
+        fit = candidate.fit
+        evidence = replace(candidate.evidence, at_end=fit.structure.at_end(fit.nonlinear))
+        return replace(candidate, evidence=evidence, rank=-np.inf)
+
+    def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
+        """Fit what is still in the running to all rows; return all, best first.
+
+        Accepted candidates are ranked by the log-units that they win on all rows, less half log n
+        a number. Held-out gains decide whether a name is accepted, not which one: of two right
+        forms the one with more freedom would lose where few fitted rows lay.
+        """
+        accepted = [c.evidence.score for c in candidates if c.accepted]
+        least = RUNNING_SHARE * max(accepted, default=np.inf)
+        every: Bench | None = None
+        out = []
+        for c in candidates:
+            runs = c.accepted and c.evidence.score >= least
+            every = self.everywhere() if runs and every is None else every
+            out.append(_on_all_rows(every, c) if runs and every is not None else c)
+        return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
+
+    def second(
+        self,
+        head: LagCandidate,
+        effects: Sequence[Effect],
+        known: Collection[frozenset[Hashable]],
+    ) -> list[LagCandidate]:
+        """Return a candidate with each second effect that its errors ask for."""
+        there = replace(self, fit=head.fit)
+        prober, first = there.prober(), head.added[0]
+        probes = [prober.probe(e) for e in effects if e.name not in there.fit.structure.names]
+        return [
+            Candidate((first, probe.effect), there.fitted(probe))
+            for probe in there.promising(probes, PAIR_TAILS)
+            if head.keys | {probe.effect.key} not in known
+        ]
+
+    def leftover(
+        self,
+        winner: LagCandidate | None,
+        effects: Sequence[Effect],
+        library: Sequence[Effect],
+    ) -> Leftover:
+        """Test the errors of the model, or of a winner, for what could still explain them."""
+        every = self.everywhere()
+        if winner is not None:
+            every = replace(every, fit=winner.onward or every.refitted(winner.fit))
+        return leftover_of(every.with_states().prober(), self.data.part, effects, library)
+
+    def with_winner(self, step: LagRound) -> Bench:
+        """Return the model with what a round found."""
+        assert step.winner is not None
+        return replace(self, fit=step.winner.fit).with_states()
+
+    def without_needless(self, one: Effect) -> Bench | None:
+        """Return the model without an effect that stood in for what came after."""
+        return None if self.stand_ins(one, None, [one]) else self.without(one)
+
+    def stand_ins(
+        self, one: Effect, step: LagRound | None, effects: Sequence[Effect]
+    ) -> tuple[LagCandidate, ...]:
+        """Take one effect out of the model and see which others would do in its place."""
+        without = self.without(one)
+        prober, present = without.prober(), without.fit.structure.names
+        names = [one] if one.unnamed else [e for e in effects if e.name not in present]
+        probes = without.promising([prober.probe(e) for e in names])
+        tried = [without.weighed(p.candidate(without.fitted(p))) for p in probes]
+        accepted = [c for c in without.ranked(tried) if c.accepted]
+        own = next((c for c in accepted if c.name == one.name), None)
+        if own is None:
+            return ()
+        others = [c for c in accepted if c is not own and min(c.rank, own.rank) > -np.inf]
+        return (own, *without.near(own, others, self.policy.alias))
+
+
+def _on_all_rows(every: Bench, candidate: LagCandidate) -> LagCandidate:
+    """Return a candidate with its fit to all rows of a bench that fits all, and its rank."""
+    whole = every.refitted(candidate.fit)
+    price = 0.5 * float(np.log(max(every.rows.n_fitted, 2)))
+    rank = every.fit.cost - whole.cost - price * (whole.n_parameters - every.fit.n_parameters)
+    errors = whole.errors(with_own_state(every.data, whole), every.metric)
+    return replace(candidate, onward=whole, errors=errors, rank=rank)
+
 
 def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> FloatArray:
     """Return the best of a start and its neighbours, for the thresholds of effects that switch.
@@ -292,31 +343,21 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
     start : ndarray of shape (p,)
         log τ and the parameters of the effects.
     """
-    trials, at = [start], 1
+    trials = [start]
     reach = data.phi_range[1] - data.phi_range[0]
-    for effect in structure.effects:
-        for i in effect.free if effect.switches else ():
-            for step in NUDGES:
-                for sign in (-1.0, 1.0):
-                    trial = start.copy()
-                    trial[at + i] += sign * step * reach
-                    trials.append(trial)
-        at += len(effect.nonlinear)
+    for at in structure.switching:
+        for step in NUDGES:
+            for sign in (-1.0, 1.0):
+                trial = start.copy()
+                trial[at] += sign * step * reach
+                trials.append(trial)
     if len(trials) == 1:
         return start
     return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)
 
 
 def slope_of(fit: Fit, data: LagData) -> FloatArray:
-    """Return the slope of the base characteristic at each sample, of shape (n,).
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    data : LagData
-        The rows.
-    """
+    """Return the slope of the base characteristic at each sample, of shape (n,)."""
     phi, terms = data.sampled(data["phi"]), list(fit.structure.terms)
     step = 1e-4 * max(float(np.ptp(phi)), 1e-6)
     ahead, behind = evaluate_terms(terms, phi + step), evaluate_terms(terms, phi - step)

@@ -140,6 +140,20 @@ class Effect:
         """Which of ``nonlinear`` are searched continuously."""
         return tuple(i for i, p in enumerate(self.nonlinear) if p.kind == "free")
 
+    @property
+    def key(self) -> str:
+        """What makes it the same as another: a lag has one place for each effect."""
+        return self.name
+
+    @property
+    def brings(self) -> int:
+        """How many numbers it adds."""
+        return len(self.parameters)
+
+    def is_plain_form_of(self, other: Effect) -> bool:
+        """Tell whether another is this one with something more: none of the catalogue is."""
+        return False
+
     def missing_channel(self, data: LagData) -> str | None:
         """Return why the effect cannot be separated from these records, or None.
 

@@ -18,15 +18,6 @@ def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tupl
     The phase of a ripple means nothing in another episode: where it was not fitted it is fitted
     again, at the amplitude of the rest, and costs one log-unit.
 
-    Parameters
-    ----------
-    fit : Fit
-        To ``data.train``.
-    data : LagData
-        All records.
-    metric : Metric
-        On all rows.
-
     Returns
     -------
     errors : ndarray of shape (n,)

@@ -26,11 +26,31 @@ LOUD_SUM = 30.0
 # share covers what the rounding of the simulation does to large gains.
 LEAST_GAP = 12.0
 LEAST_GAP_SHARE = 0.004
-ALIAS_Z = 2.33
-ALIAS_COSINE = 0.7
 # Blocks over which errors are compared: at least so many in the held-out rows.
 MOST_BLOCKS = 40
 LEAST_BLOCK_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Tie:
+    """When rows do not tell two models apart.
+
+    Parameters
+    ----------
+    gap, share : float
+        They are as close as this in log-units, or as this share of the better one's; or
+    z, cosine : float
+        the better one is ahead by fewer standard errors, block by block, and both correct the
+        model without them at this cosine or more.
+    """
+
+    gap: float
+    share: float
+    z: float = -np.inf
+    cosine: float = 1.0
+
+
+ALIAS = Tie(LEAST_GAP, LEAST_GAP_SHARE, 2.33, 0.7)
 
 
 @dataclass(frozen=True)
@@ -100,8 +120,13 @@ class Evidence:
         What that share must reach there, in place of the chance and of z.
     many_blocks : bool
         Whether several held-out blocks speak for it by themselves, and hardly one against it.
+    one_sided : bool
+        Whether the held-out blocks that lose are next to nothing beside those that win.
+    chance : float
+        Log-units that the best of all that is searched wins by chance.
     at_end : bool
-        Whether τ ran to the end of its search: what is left is no lag, and no name stands on it.
+        Whether the fit ended where no name stands on it: τ at the end of its search, a number
+        where the effect is none, a run that grows from small changes.
     """
 
     train: float
@@ -113,18 +138,29 @@ class Evidence:
     share: float = float("nan")
     least_share: float = float("nan")
     many_blocks: bool = False
+    one_sided: bool = False
+    chance: float = 0.0
     at_end: bool = False
 
     @property
-    def accepted(self) -> bool:
+    def stands(self) -> bool:
         """Whether likelihood, later time and the other record all speak for it."""
         if self.at_end:
             return False
         held_out = self.later > 0.0 and not self.other <= 0.0
         if self.least_share == self.least_share:
             return held_out and self.share >= self.least_share
-        consistent = self.z > LEAST_Z or self.many_blocks
+        consistent = self.z > LEAST_Z or self.many_blocks or self.one_sided
         return held_out and self.p_value < LARGEST_P and consistent
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it stands, and wins more than the best of all does by chance."""
+        return self.stands and self.train + self.later > self.chance
+
+
+# Of what promised too little to be fitted.
+NOT_FITTED = Evidence(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
 def evidence_of(
@@ -135,6 +171,7 @@ def evidence_of(
     added: int,
     searched: float,
     episodes: tuple[float, float] = (0.0, 0.0),
+    one_sided: float = 0.0,
 ) -> Evidence:
     """Weigh a candidate against the model without it.
 
@@ -151,6 +188,9 @@ def evidence_of(
     episodes : tuple of float
         Log-units taken off the gain on later time and on the other record for phases that had to
         be fitted there.
+    one_sided : float
+        What held-out blocks may lose, as a share of what the others win, where the effect may act
+        in episodes alone.
     """
     from scipy.stats import chi2
 
@@ -162,17 +202,26 @@ def evidence_of(
     held = later + (other if rows.has_other else 0.0)
     score = train - 0.5 * added * float(np.log(max(rows.n_fitted, 2))) + held
     z = paired_z(gain, rows, LATER, OTHER)
-    several = _speak_for_themselves(gain, rows)
-    return Evidence(train, later, other, z, p_value, score, many_blocks=several)
+    sums = block_sums(gain, rows, LATER, OTHER)
+    against, for_it = -float(sums[sums < 0.0].sum()), float(sums[sums > 0.0].sum())
+    return Evidence(
+        train,
+        later,
+        other,
+        z,
+        p_value,
+        score,
+        many_blocks=_speak_for_themselves(sums),
+        one_sided=against < one_sided * for_it,
+    )
 
 
-def _speak_for_themselves(gain: FloatArray, rows: Rows) -> bool:
+def _speak_for_themselves(sums: FloatArray) -> bool:
     """Tell whether several held-out blocks win much, where the mean is ruled by a few of them.
 
     An effect that acts in a few cycles only, such as a branch in reversed flow that φ seldom
     reaches, wins thousands of log-units there and nothing elsewhere: its z is small.
     """
-    sums = block_sums(gain, rows, LATER, OTHER)
     loud = int(np.count_nonzero(sums > LOUD_BLOCK))
     against = int(np.count_nonzero(sums < -LOUD_BLOCK))
     return loud >= LEAST_LOUD and loud >= LEAST_LOUD * against and sums.sum() > LOUD_SUM
@@ -186,17 +235,7 @@ def block_sums(gain: FloatArray, rows: Rows, *parts: int) -> FloatArray:
 
 
 def paired_z(gain: FloatArray, rows: Rows, *parts: int) -> float:
-    """Return the mean gain of the blocks of some parts over its standard error.
-
-    Parameters
-    ----------
-    gain : ndarray of shape (n,)
-        Log-units of each row.
-    rows : Rows
-        Blocks.
-    *parts : int
-        Which parts.
-    """
+    """Return the mean gain of the blocks of some parts over its standard error."""
     sums = block_sums(gain, rows, *parts)
     if sums.size < 2:
         return 0.0
@@ -209,6 +248,7 @@ def alias_rows(
     base: FloatArray,
     errors: Sequence[FloatArray],
     scores: Sequence[float],
+    tie: Tie = ALIAS,
 ) -> list[bool]:
     """Tell which of several accepted candidates these rows cannot tell from the best.
 
@@ -222,6 +262,8 @@ def alias_rows(
         Of each candidate.
     scores : sequence of float
         Of each candidate.
+    tie : Tie
+        When two look alike.
 
     Returns
     -------
@@ -232,13 +274,17 @@ def alias_rows(
     out = []
     for j, error in enumerate(errors):
         gap = scores[best] - scores[j]
-        near = gap < max(LEAST_GAP, LEAST_GAP_SHARE * scores[best])
-        if not near:
+        near = gap < max(tie.gap, tie.share * scores[best])
+        if not near and tie.z > -np.inf:
             gain = 0.5 * (error**2 - errors[best] ** 2)
             z = paired_z(gain, rows, TRAIN, LATER, OTHER)
-            one, two = (base - error)[rows.valid], (base - errors[best])[rows.valid]
-            size = float(np.linalg.norm(one) * np.linalg.norm(two))
-            cosine = float(one @ two) / size if size > 0.0 else 0.0
-            near = z < ALIAS_Z and cosine > ALIAS_COSINE
+            near = z < tie.z and cosine_of(rows, base, error, errors[best]) > tie.cosine
         out.append(j == best or near)
     return out
+
+
+def cosine_of(rows: Rows, base: FloatArray, one: FloatArray, other: FloatArray) -> float:
+    """Return how alike two models correct one without either: the cosine of their corrections."""
+    first, second = (base - one)[rows.valid], (base - other)[rows.valid]
+    size = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float(first @ second) / size if size > 0.0 else 0.0

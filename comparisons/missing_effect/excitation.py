@@ -25,15 +25,7 @@ MOST_REMOVED = 1.04
 
 
 def surge_frequency_hz(phi: FloatArray, sample_rate_hz: float) -> float:
-    """Return the frequency of the strongest line of φ, at least one cycle in the record.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    sample_rate_hz : float
-        Its sample rate.
-    """
+    """Return the frequency of the strongest line of φ, at least one cycle in the record."""
     centred = (phi - phi.mean()) * np.hanning(phi.size)
     power = np.abs(np.fft.rfft(centred, 4 * phi.size)) ** 2
     frequency = np.fft.rfftfreq(4 * phi.size, 1.0 / sample_rate_hz)
@@ -112,11 +104,6 @@ def smooth_channel(values: FloatArray) -> FloatArray:
 
     The noise is found from fourth differences; the window of the local cubics grows until what is
     left of it is small beside the channel's own changes from row to row.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        A temperature or a speed.
     """
     from scipy.signal import savgol_filter
 
@@ -138,13 +125,7 @@ def smooth_channel(values: FloatArray) -> FloatArray:
 
 
 def block_rows(data: LagData) -> int:
-    """Return how many scored rows make a block: a surge cycle, and enough blocks.
-
-    Parameters
-    ----------
-    data : LagData
-        Rows.
-    """
+    """Return how many scored rows make a block: a surge cycle, and enough blocks."""
     longest = max(data.fine_runs, key=lambda run: run[1] - run[0])
     phi = data["phi"][longest[0] : longest[1] : data.every]
     surge_hz = surge_frequency_hz(phi, 1.0 / data.sample_period_s)

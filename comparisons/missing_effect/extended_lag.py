@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
+from comparisons.missing_effect.coefficient_groups import assembled_fit
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
     BENDING,
@@ -29,7 +29,7 @@ from comparisons.missing_effect.extended_parts import (
 from comparisons.missing_effect.extended_run import FreeRun
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.results import FitRows, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
@@ -216,11 +216,8 @@ class ExtendedLag(Displayed):
         data = self.references.on(plain)
         acting = [added for added in self.effects if added.acts]
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
-        groups = CoefficientGroups(
-            np.asarray(self.coefficients),
-            {added.name: np.asarray(added.coefficients) for added in acting if added.coefficients},
-            np.zeros(0),
-        )
+        groups = {added.name: np.asarray(added.coefficients) for added in acting}
+        groups[TERMS] = np.asarray(self.coefficients)
         structure = Structure(self.terms, tuple(added.effect for added in acting))
         fit = assembled_fit(structure, data, np.concatenate(nonlinear), groups)
         return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))

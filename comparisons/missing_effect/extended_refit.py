@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.coefficient_groups import (
-    CoefficientGroups,
     coefficient_groups,
     refitted_on,
 )
@@ -26,11 +25,10 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import weights_of
 from comparisons.missing_effect.probes import Prober
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.missing_effect.uncertainty import (
     covariance_of,
     fitted_parameters,
-    linear_columns,
 )
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -185,7 +183,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
         fit.tau_s,
         parameters["tau"][0].stderr,
         fit.structure.terms,
-        tuple(groups.terms.tolist()),
+        tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
         effects,
         FrozenReferences.of(data),
@@ -200,9 +198,9 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
 
 
 def _added(
-    effect: Effect, parameters: Sequence[FittedParameter], groups: CoefficientGroups
+    effect: Effect, parameters: Sequence[FittedParameter], groups: Mapping[str, FloatArray]
 ) -> AddedEffect:
-    kept = () if effect.episodes else groups.effects.get(effect.name, ())
+    kept = () if effect.episodes else groups.get(effect.name, ())
     values, errors = zip(*((p.value, p.stderr) for p in parameters), strict=True)
     return AddedEffect(effect, values, errors, tuple(map(float, kept)))
 
@@ -214,7 +212,7 @@ def _table(
     grid = np.linspace(float(phi.min()), float(phi.max()), CURVE_POINTS)
     names, coefficients = model.curve_terms()
     columns = curve_columns(names, grid, model)
-    slices = linear_columns(fit, data)
+    slices = fit.structure.layout(data, fit.nonlinear)
     rows = np.concatenate(
         [
             np.arange(len(model.terms)),

@@ -90,19 +90,7 @@ class Solution:
 
 
 def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: FloatArray) -> Solution:
-    """Solve for the linear parameters at given others.
-
-    Parameters
-    ----------
-    structure : Structure
-        Terms and effects.
-    data : LagData
-        Rows.
-    metric : Metric
-        How errors are weighed.
-    nonlinear : ndarray of shape (p,)
-        log τ and the parameters of the effects.
-    """
+    """Solve for the linear parameters at given others."""
     answer = structure.respond(data, nonlinear)
     joint = np.column_stack([answer.columns, data.measured - answer.known])
     seen = metric.seen(joint, answer.decay, data)
@@ -217,19 +205,6 @@ def slope_of_starts(
     """Return how what is left of the starts of the runs moves with log τ.
 
     A short run, or one that begins in a reversal, ends at another τ without it.
-
-    Parameters
-    ----------
-    structure : Structure
-        Terms and effects.
-    data : LagData
-        Rows.
-    metric : Metric
-        How errors are weighed.
-    here : ndarray of shape (p,)
-        log τ and the parameters of the effects.
-    found : Solution
-        The linear parameters there.
     """
     left = data.measured - structure.output(data, here, found.coefficients)
     seen, decay = (metric.whitened(values, data) for values in (left, found.decay))

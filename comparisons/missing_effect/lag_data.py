@@ -138,13 +138,7 @@ class LagData:
         return rows if part is None else rows & (self.part == part)
 
     def up_to(self, wanted: NDArray[np.bool_]) -> LagData:
-        """Return the runs, each cut behind its last wanted sample; runs without one are left out.
-
-        Parameters
-        ----------
-        wanted : ndarray of bool, shape (n,)
-            Samples to keep.
-        """
+        """Return the runs cut behind their last wanted samples; those without one are left out."""
         fine, runs, fine_runs, rows = [], [], [], []
         n = n_fine = 0
         for run, (fine_start, _) in zip(self._heads(wanted), self.fine_runs, strict=True):
@@ -212,13 +206,7 @@ class LagData:
         return {}
 
     def terms_of_phi(self, terms: tuple[str, ...]) -> FloatArray:
-        """Return the terms s_i at the measured φ, of shape (N, n_terms), formed once.
-
-        Parameters
-        ----------
-        terms : tuple of str
-            Their names.
-        """
+        """Return the terms s_i at the measured φ, of shape (N, n_terms), formed once."""
         if terms not in self._kept_terms:
             columns = evaluate_terms(list(terms), self.signals["phi"])
             columns.setflags(write=False)

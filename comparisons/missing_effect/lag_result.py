@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Candidate
+from comparisons.missing_effect.candidates import LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
@@ -23,6 +23,7 @@ from comparisons.missing_effect.lag_curves import (
     records_document,
 )
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
@@ -34,15 +35,12 @@ from comparisons.missing_effect.quantities import (
     tau_ms,
 )
 from comparisons.missing_effect.results import (
-    SIZE,
     CandidateRow,
     Diagnosis,
     Gap,
     MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.search import Leftover, Round
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
 from comparisons.missing_effect.whole_run_spectra import RippleLine
@@ -143,7 +141,7 @@ class LagDiagnosis(Diagnosis):
     data: LagData
     noise: NoiseModel
     leftover: Leftover
-    rounds: tuple[Round, ...]
+    rounds: tuple[LagRound, ...]
     ripple: RippleLine | None = None
     reverse_loss: ReverseLoss | None = None
     catalogue: tuple[Effect, ...] = CATALOGUE
@@ -378,16 +376,14 @@ class LagDiagnosis(Diagnosis):
         rows = []
         for number, step in enumerate(self.rounds, start=1):
             stand_ins = self._stand_ins(step)
-            tried = [*step.candidates, *step.unnamed, *step.pairs]
-            rows += [self._row(number, step, c, stand_ins) for c in sorted(tried, key=_rank)]
+            tried = sorted(step.candidates, key=_rank)
+            rows += [self._row(number, step, c, stand_ins) for c in tried]
         return (*rows, *map(_untried, self.not_fitted))
 
     @property
     def not_fitted(self) -> tuple[Effect, ...]:
         """The effects that were tested and promised too little to be worth a fit."""
-        fitted = {
-            e.name for step in self.rounds for c in (*step.candidates, *step.pairs) for e in c.added
-        }
+        fitted = {e.name for step in self.rounds for c in step.candidates for e in c.added}
         known = fitted | self.unavailable.keys() | {row.effect for row in self.untold}
         return tuple(
             effect
@@ -397,31 +393,7 @@ class LagDiagnosis(Diagnosis):
             and not (self.whole_runs and (effect.episodes or effect.name == "reverse_flow_branch"))
         )
 
-    def doubts_of(self, item: MissingEffect) -> tuple[str, ...]:
-        """Return why the name of an effect is not firm; empty where it is."""
-        if not item.provisional or item.doubts:
-            return super().doubts_of(item)
-        size = item.evidence.get(SIZE, np.inf)
-        if size < LEAST_SIZE:
-            why = (
-                f"what it does to ψ' is not distinguished from nothing ({size:.1f} standard "
-                "errors, all its numbers together)"
-            )
-        elif self.whole_runs:
-            why = "twins of these records, measured or not, are no measure of it"
-        elif self.leftover.structured:
-            why = (
-                "the model with it still leaves structure in its errors (what else was tested "
-                f"would win {self.leftover.gain:.0f} log-units together, p "
-                f"{chance(self.leftover.p_value)})"
-            )
-        elif self.gap.shrink <= 0.0:
-            why = "it makes the error on held-out rows no smaller"
-        else:
-            why = "a term without a name had to stand beside it"
-        return (why,)
-
-    def _stand_ins(self, step: Round) -> set[frozenset[str]]:
+    def _stand_ins(self, step: LagRound) -> set[frozenset[str]]:
         """Return what could stand for the winner of a round, it among them, if any."""
         if step.winner is None:
             return set()
@@ -431,7 +403,7 @@ class LagDiagnosis(Diagnosis):
         return found if len(found) > 1 else set()
 
     def _row(
-        self, number: int, step: Round, c: Candidate, stand_ins: set[frozenset[str]]
+        self, number: int, step: LagRound, c: LagCandidate, stand_ins: set[frozenset[str]]
     ) -> CandidateRow:
         e, names = c.evidence, frozenset(effect.name for effect in c.added)
         added = {effect.name for effect in self.after.structure.effects}
@@ -468,7 +440,7 @@ def _untried(effect: Effect) -> CandidateRow:
     )
 
 
-def _rank(candidate: Candidate) -> float:
+def _rank(candidate: LagCandidate) -> float:
     e = candidate.evidence
     return -float(e.score if math.isnan(e.share) else e.share)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
@@ -414,7 +414,7 @@ class _Drill:
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
         metric = self.planter.source.noise.metric().on(np.arange(data.n_samples))
         bench = Bench.start(
-            data, fit.structure, metric, fit.nonlinear, block_rows(data), len(self.catalogue)
+            data, fit.structure, metric, [fit.nonlinear], block_rows(data), len(self.catalogue)
         )
         probe = bench.prober().probe(effect)
         if not probe.starts:
@@ -425,8 +425,8 @@ class _Drill:
         if noise.coloured or noise.heavy_tailed:
             own = candidate.nonlinear[bench.fit.nonlinear.size :]
             candidate = bench.fitted(replace(probe, starts=(own,)))
-        base = bench.errors(bench.fit)
-        return bool(bench.weighed(candidate, [effect], base).evidence.accepted)
+        alone = LagCandidate((effect,), candidate)
+        return bench.weighed(alone).accepted
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)

@@ -13,7 +13,6 @@ from comparisons.missing_effect.metric import FlowNoise, Metric
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 
-MOST_LAGS = 4
 # Noise on φ is believed only when it beats every autoregression by this much.
 FLOW_RELUCTANCE = 5.0
 # Huber's bound: beyond so many standard deviations an error counts in proportion, not in square.
@@ -97,7 +96,8 @@ def noise_of(
     rows = scored & (data.weight > 0.0)
     robust = _scale(errors[rows])
     bounded = np.clip(errors, -HUBER * robust, HUBER * robust)
-    ar = autoregression(_pieces(bounded, rows, data), MOST_LAGS)
+    there = np.where(rows, bounded, np.nan)
+    _, ar = autoregression([there[run] for run in data.slices])
     metric = Metric(1.0, ar)
     white = metric.whitened(errors, data)
     valid = rows & (metric.rows(data) > 0.0)
@@ -163,17 +163,7 @@ def _with_flow_noise(
 
 
 def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArray | None:
-    """Return the factors that let large errors count in proportion; None where none are needed.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Of the best model.
-    noise : NoiseModel
-        Its noise.
-    data : LagData
-        Their runs.
-    """
+    """Return the factors that let large errors count in proportion; None where none are needed."""
     if not noise.heavy_tailed:
         return None
     z = np.abs(noise.metric().whitened(errors, data))
@@ -183,13 +173,3 @@ def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArr
 
 def _scale(errors: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(errors - np.median(errors)))) if errors.size else 1.0
-
-
-def _pieces(errors: FloatArray, rows: NDArray[np.bool_], data: LagData) -> list[FloatArray]:
-    """Return the errors of rows that follow each other in one run, piece by piece."""
-    pieces = []
-    for run in data.slices:
-        kept = np.flatnonzero(rows[run])
-        parts = np.split(kept, np.flatnonzero(np.diff(kept) != 1) + 1)
-        pieces += [errors[run][part] for part in parts]
-    return pieces

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from comparisons.missing_effect.covariance import orthonormal
 from surge_core.types import FloatArray
 
 # Both tests together (Fisher) speak below this chance.
@@ -92,7 +93,7 @@ def foretold(
     """
     features, labels = _features(np.concatenate(list(signals)), names)
     error = np.concatenate([e - e.mean() for e in errors])
-    basis = _orthonormal(features)
+    basis = orthonormal(features)
     total = float(error @ error)
     if not basis.shape[1] or not total > 0.0:
         return 1.0, 0.0, ""
@@ -124,11 +125,3 @@ def _features(signals: FloatArray, names: Sequence[str]) -> tuple[FloatArray, li
         return np.zeros((signals.shape[0], 0)), []
     out = np.column_stack(columns)
     return out - out.mean(axis=0), labels
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    size = np.linalg.norm(columns, axis=0)
-    if not np.any(size > 0.0):
-        return columns[:, :0]
-    left, values, _ = np.linalg.svd(columns[:, size > 0.0] / size[size > 0.0], full_matrices=False)
-    return np.asarray(left[:, values > 1e-6 * values[0]])

@@ -77,13 +77,6 @@ def with_state(data: LagData, fit: Fit) -> LagData:
 
     Simulated, not measured: a regressor that holds the noise of the measurement would correlate
     with the errors it is tested on.
-
-    Parameters
-    ----------
-    data : LagData
-        The records.
-    fit : Fit
-        A fitted model.
     """
     ports = fit.structure.ports(data, fit.nonlinear)
     q = ports.driven.shape[1]
@@ -120,13 +113,7 @@ def _added(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 
 def open_terms(data: LagData) -> tuple[Effect, ...]:
-    """Return the terms that these records can carry.
-
-    Parameters
-    ----------
-    data : LagData
-        The records.
-    """
+    """Return the terms that these records can carry."""
     out = []
     for names, acts, port in (
         (_DRIVEN, _driven, "characteristic"),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.coefficient_groups import (
-    CoefficientGroups,
     assembled_fit,
     coefficient_groups,
 )
@@ -167,12 +166,12 @@ class Planter:
         shape = self.shape(effect)
         own = shape if effect.linear else np.concatenate([[size], shape])
         groups = coefficient_groups(self.fit, self.data)
-        more = {**groups.effects, effect.name: self.coefficients(effect, size, rng)}
+        groups[effect.name] = self.coefficients(effect, size, rng)
         model = assembled_fit(
             self.fit.structure.with_effect(effect),
             self.data,
             np.concatenate([self.fit.nonlinear, own]),
-            CoefficientGroups(groups.terms, more, groups.nuisance),
+            groups,
         )
         return model.output(self.data)
 

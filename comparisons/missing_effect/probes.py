@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.engine import Candidate
 from comparisons.missing_effect.fit import Fit, Solution, slope_of_starts, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
@@ -46,6 +48,10 @@ class Probe:
     starts: tuple[FloatArray, ...]
     columns: FloatArray
 
+    def candidate(self, fit: Fit) -> Candidate[Effect, Fit]:
+        """Return a model with the effect, fitted and not weighed yet."""
+        return Candidate((self.effect,), fit, promised=self.gain)
+
     @property
     def chance(self) -> float:
         """Chance of so large a gain in noise, times what was searched."""
@@ -80,7 +86,7 @@ class Prober:
         seen = metric.seen(slopes, self.solution.decay, data)
         basis = self.solution.basis
         seen -= basis @ (basis.T @ seen)
-        self.basis = np.column_stack([basis, _orthonormal(seen)])
+        self.basis = np.column_stack([basis, orthonormal(seen)])
         self.errors = self.solution.errors
         self._here = self._contracted(self.ports)
 
@@ -108,7 +114,7 @@ class Prober:
 
     def joint(self, columns: Sequence[FloatArray]) -> tuple[float, FloatArray]:
         """Return the gain and the basis of many columns at once."""
-        basis = _orthonormal(np.column_stack(columns))
+        basis = orthonormal(np.column_stack(columns))
         along = basis.T @ self.errors
         return 0.5 * float(along @ along), basis
 
@@ -163,7 +169,7 @@ class Prober:
         kept = own > np.maximum(LEAST_OWN_SHARE * whole, 1e-12)
         if not np.any(kept):
             return 0.0, np.zeros((columns.shape[0], 0)), 0.0
-        basis = _orthonormal(seen[:, kept])
+        basis = orthonormal(seen[:, kept])
         along = basis.T @ self.errors
         amplitude = float(seen[:, 0] @ self.errors) / max(float(own[0]) ** 2, 1e-300)
         return 0.5 * float(along @ along), basis, amplitude
@@ -182,7 +188,7 @@ class Prober:
             episodes = stall_episodes(self.data, float(gate))
             if not episodes:
                 continue
-            frequency, power = episode_spectrum(self.errors, episodes, self.data)
+            frequency, power = _episode_spectrum(self.errors, episodes, self.data)
             best = int(np.argmax(power))
             # Two numbers an episode: what white errors would give on the average is their count.
             found.append((float(power[best]), len(episodes), np.array([frequency[best], gate])))
@@ -193,20 +199,10 @@ class Prober:
         return Probe(effect, gain, 2 * count, (start,), np.zeros((self.data.n_samples, 0)))
 
 
-def episode_spectrum(
+def _episode_spectrum(
     errors: FloatArray, episodes: Sequence[slice], data: LagData
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies and the log-units that a sine of free phase in each episode would win.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        White, of unit variance.
-    episodes : sequence of slice
-        Stretches of rows.
-    data : LagData
-        Sample period and length of the average, above whose band nothing is left.
-    """
+    """Return frequencies and the log-units that a sine of free phase in each episode would win."""
     longest = max(e.stop - e.start for e in episodes)
     size = int(2 ** np.ceil(np.log2(FINER * longest)))
     power = np.zeros(size // 2 + 1)
@@ -219,19 +215,3 @@ def episode_spectrum(
     power[frequency < lowest] = 0.0
     power[frequency > HIGHEST_SHARE / data.sample_period_s] = 0.0
     return np.asarray(frequency, dtype=np.float64), power
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of columns, without those that the others already span."""
-    if columns.shape[1] == 0:
-        return columns
-    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    kept = np.asarray(columns[:, size > 1e-12] / size[size > 1e-12])
-    if kept.shape[1] == 0:
-        return kept
-    basis, triangle = np.linalg.qr(kept)
-    diagonal = np.abs(np.diag(triangle))
-    if diagonal.min() > 1e-6:
-        return np.asarray(basis)
-    left, scale, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(left[:, scale > 1e-6 * scale[0]])

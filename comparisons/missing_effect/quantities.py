@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -55,13 +56,7 @@ _OPEN_MEANING = (
 
 
 def symbol(parameter: str) -> str:
-    """Return the symbol of a parameter.
-
-    Parameters
-    ----------
-    parameter : str
-        Its name.
-    """
+    """Return the symbol of a parameter."""
     return _SYMBOLS.get(parameter, parameter)
 
 
@@ -73,12 +68,14 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     value, stderr : float
         In the unit.
     unit : str
-        SI; ``"1"`` without one. Small times are written in ms.
+        SI; ``"1"`` without one. Small times are written in ms; an error that is not known is NaN.
     """
     limit, factor, smaller = _SMALLER.get(unit, (0.0, 1.0, ""))
     shown = _UNITS.get(unit, unit)
     if abs(value) < limit:
         value, stderr, shown = factor * value, factor * stderr, smaller
+    if math.isnan(stderr):
+        return f"about {significant(value)} {shown}".rstrip()
     if stderr <= 0.0:
         return f"{significant(value)} {shown}".rstrip() + " (held)"
     return f"{round_to_error(value, stderr)} {shown}".rstrip()
@@ -102,30 +99,14 @@ def size_words(value: float, unit: str) -> str:
 
 
 def tau_ms(tau_s: float, stderr_s: float | None = None) -> str:
-    """Return a time constant in milliseconds, with its standard error where it is given.
-
-    Parameters
-    ----------
-    tau_s : float
-        In seconds.
-    stderr_s : float, optional
-        In seconds.
-    """
+    """Return a time constant in milliseconds, with its standard error where it is given."""
     if stderr_s is None:
         return f"{significant(1e3 * tau_s)} ms"
     return f"{round_to_error(1e3 * tau_s, 1e3 * stderr_s)} ms"
 
 
 def number_rows(effect: str, parameters: Sequence[FittedParameter]) -> tuple[tuple[str, str], ...]:
-    """Return symbol and text of each number of an effect; a held one may be a word alone.
-
-    Parameters
-    ----------
-    effect : str
-        Its name.
-    parameters : sequence of FittedParameter
-        Its numbers.
-    """
+    """Return symbol and text of each number of an effect; a held one may be a word alone."""
     rows = []
     for p in parameters:
         words = _HELD.get((effect, p.name), "")
@@ -143,75 +124,37 @@ def number_rows(effect: str, parameters: Sequence[FittedParameter]) -> tuple[tup
 
 
 def numbers_of(effect: str, parameters: Sequence[FittedParameter]) -> str:
-    """Return the numbers of an effect in one line.
-
-    Parameters
-    ----------
-    effect : str
-        Its name.
-    parameters : sequence of FittedParameter
-        Its numbers.
-    """
+    """Return the numbers of an effect in one line."""
     rows = number_rows(effect, parameters)
     return ", ".join(f"{name} = {text}" if name else text for name, text in rows)
 
 
 def label_of(effect: Effect) -> str:
-    """Return the name of an effect with the place at which it acts.
-
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    """
+    """Return the name of an effect with the place at which it acts."""
     name = f"open_{open_words(effect.name)}" if effect.unnamed else effect.name
     return f"{name} {PORT_WORDS[effect.port]}"
 
 
 def plain_name(name: str) -> str:
-    """Return the name of an effect as it is read: without underscores.
-
-    Parameters
-    ----------
-    name : str
-        Its identifier, or its label, which begins with it.
-    """
+    """Return the name of an effect as it is read: without underscores."""
     first, gap, place = name.partition(" ")
     return f"{first.replace('_', ' ')}{gap}{place}"
 
 
 def equation_of(effect: Effect) -> str:
-    """Return what an effect adds.
-
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    """
+    """Return what an effect adds."""
     return f"+ c · {open_words(effect.name)}" if effect.unnamed else effect.equation
 
 
 def letters_of(effect: Effect) -> str:
-    """Say what the letters of an open term stand for; empty for an effect with a name.
-
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    """
+    """Say what the letters of an open term stand for; empty for an effect with a name."""
     if not effect.unnamed:
         return ""
     return "; ".join(words for letter, words in _OPEN_MEANING if re.search(letter, effect.name))
 
 
 def model_equation(fit: Fit) -> str:
-    """Return the equation of a fitted model, its effects named behind it.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    """
+    """Return the equation of a fitted model, its effects named behind it."""
     from surge_core.terms import pretty_term
 
     text = "τ dψ'/dt + ψ' ="
@@ -228,26 +171,14 @@ def model_equation(fit: Fit) -> str:
 
 
 def chance(p_value: float) -> str:
-    """Return a p-value in a few letters.
-
-    Parameters
-    ----------
-    p_value : float
-        From 0 to 1.
-    """
+    """Return a p-value in a few letters."""
     if p_value < 1e-300:
         return "<1e-300"
     return f"{p_value:.0e}" if p_value < 0.01 else f"{p_value:.2f}"
 
 
 def open_words(name: str) -> str:
-    """Return the name of an open term in the field's symbols.
-
-    Parameters
-    ----------
-    name : str
-        Of the term.
-    """
+    """Return the name of an open term in the field's symbols."""
     for plain, pretty in _OPEN_SYMBOLS:
         name = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", pretty, name)
     name = name.removesuffix(" at the output")

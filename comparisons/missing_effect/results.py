@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -108,6 +108,10 @@ class MissingEffect:
     says: str = ""
     confirm: Mapping[str, str] = field(default_factory=dict)
     on_tau: str = ""
+
+    def doubted(self, why: str) -> MissingEffect:
+        """Return it with one more reason why its name is not firm."""
+        return replace(self, provisional=True, doubts=(*self.doubts, why))
 
 
 @dataclass(frozen=True)

@@ -1,331 +1,298 @@
-"""The search: which effects a model lacks, one after the other or two at a time."""
+"""The search: what a model lacks, round by round. One for every kind of system.
+
+Effects are laid along the run of the model; what is promising races; the metric comes from the
+best of the race, never from the model that lacks it, which would whiten the effect away. In that
+metric candidates are weighed on rows fitted and held out. What wins is added, with all that the
+rows cannot tell from it beside it; in the end what later effects made needless is taken out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.missing_effect.candidates import Bench, Candidate
-from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.evidence import alias_rows, paired_z
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.engine import A, Candidate, F, Round, System
+from comparisons.missing_effect.evidence import cosine_of, paired_z
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
-from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.probes import Probe
-from surge_core.types import FloatArray
+from comparisons.missing_effect.results import MissingEffect
 
-# The chance below which what a model leaves is called structure, and not chance.
-LEFTOVER_P = 1e-4
-# A name is firm only while no test of what it leaves comes below this; tests of one term at a
-# time are weaker.
-DOUBTFUL_P = 1e-3
-DOUBTFUL_ALONE_P = 5e-3
-LARGEST_UNEVENNESS = 5.0
-# An open term takes the place of a name only when it is better by this much.
-UNNAMED_GAP = 6.0
-UNNAMED_Z = 3.0
-PAIR_GAP = 6.0
-PAIR_Z = 3.0
+# Log-units by which a term without a name must be ahead to be more than a rival of a name; what
+# is closer than that stands in the order of the catalogue.
+RIVALLED = 12.0
+# A plain form speaks for a refined one where it wins this share of what that wins.
+SIMPLE_SHARE = 0.9
+# Two effects at once must beat one by so much, and are looked for behind so many.
+PAIR_GAP, PAIR_Z = 6.0, 3.0
 PAIR_HEADS = 3
-PAIR_TAILS = 3
-MOST_OPEN_FITS = 3
-# An effect whose start is searched this widely is tested apart from the others.
-MANY_TRIALS = 20.0
+# Or leave this share of what the single one leaves.
+PAIR_LEFT = 0.5
+
+Report = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Leftover:
-    """What a score test of all open terms and all effects finds in a model's errors.
-
-    Parameters
-    ----------
-    gain : float
-        Log-units that they would win together, or the best of them where each is tested alone.
-    degrees : int
-        Columns.
-    p_value : float
-        Of that gain, or of a ripple or a branch where they say more.
-    alone : bool
-        Whether each was tested alone.
-    unevenness : float
-        By how many standard errors the rows that were held out are left noisier than the others.
-    """
-
-    gain: float
-    degrees: int
-    p_value: float
-    alone: bool = False
-    unevenness: float = 0.0
-
-    @property
-    def structured(self) -> bool:
-        """Whether the errors hold more than noise that the model's inputs explain."""
-        return self.p_value < LEFTOVER_P
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether a name that leaves this is provisional: a stricter bound, and even errors."""
-        bound = DOUBTFUL_ALONE_P if self.alone else DOUBTFUL_P
-        return self.p_value < bound or self.unevenness > LARGEST_UNEVENNESS
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round of the search.
+def search(
+    system: System[A, F],
+    effects: Sequence[Any],
+    library: Sequence[Any],
+    most: int,
+    report: Report = lambda _: None,
+) -> tuple[Any, list[Round[A, F]]]:
+    """Add to a model what it lacks, one or two effects a round.
 
     Parameters
     ----------
-    bench : Bench
-        The model of the round and the metric.
-    noise : NoiseModel
-        Of the best candidate's errors.
-    candidates : tuple of Candidate
-        Names, best first.
-    unnamed : tuple of Candidate
-        Open terms, best first.
-    pairs : tuple of Candidate
-        Pairs that were tried, best first.
-    winner : Candidate or None
-        What is added; None where nothing is accepted.
-    leftover : Leftover
-        What the winner, or the model itself, leaves.
+    system : System
+        The model as it is.
+    effects, library : sequence
+        Names, and terms without one.
+    most : int
+        Add at most so many.
+    report : callable
+        Told in a few words what begins.
+
+    Returns
+    -------
+    system : System
+        The model with all that was found.
+    rounds : list of Round
+        The search.
     """
+    here: System[A, F] = system
+    rounds: list[Round[A, F]] = []
+    while len(here.found) < most and not here.failed:
+        report(f"round {len(rounds) + 1}")
+        step = search_round(here, effects, library, most - len(here.found))
+        rounds.append(step)
+        if step.winner is None:
+            here = step.bench
+            break
+        moved = step.bench.with_winner(step)
+        if here.found and not is_worth_adding(step, here, moved):
+            break
+        here = moved
+        if here.policy.stops_clean and (step.winner.unnamed or not step.leftover.structured):
+            break
+    pruned = _pruned(here)
+    if pruned is not here:
+        left = pruned.leftover(None, effects, library)
+        rounds[-1] = replace(rounds[-1], leftover=left)
+    return pruned, rounds
 
-    bench: Bench
-    noise: NoiseModel
-    candidates: tuple[Candidate, ...]
-    unnamed: tuple[Candidate, ...]
-    pairs: tuple[Candidate, ...]
-    winner: Candidate | None
-    leftover: Leftover
 
-
-def search_round(bench: Bench, effects: Sequence[Effect], open_terms: Sequence[Effect]) -> Round:
-    """Try everything that may be added to the model on the bench.
+def search_round(
+    system: System[A, F], effects: Sequence[Any], library: Sequence[Any], room: int = 2
+) -> Round[A, F]:
+    """Try everything that may be added to a model.
 
     Parameters
     ----------
-    bench : Bench
-        Model, records, metric.
-    effects : sequence of Effect
-        Names that the records can carry and that the model has not.
-    open_terms : sequence of Effect
-        Terms without a name.
+    system : System
+        The model and its records.
+    effects, library : sequence
+        Names, and terms without one.
+    room : int
+        At most so many are added.
     """
-    prober = bench.prober()
-    named = bench.promising([prober.probe(effect) for effect in effects])
-    unnamed = bench.promising([prober.probe(term) for term in open_terms], MOST_OPEN_FITS)
-    fits = [(probe, bench.fitted(probe)) for probe in (*named, *unnamed)]
-    bench, noise, fits = _in_own_metric(bench, fits, effects)
-    base = bench.errors(bench.fit)
-    tried = bench.ranked([bench.weighed(fit, [probe.effect], base) for probe, fit in fits])
-    names = tuple(c for c in tried if not c.unnamed)
-    terms = tuple(c for c in tried if c.unnamed)
-    winner = _winner(bench, names, terms)
-    left = leftover_of(bench, winner, effects, open_terms)
-    pairs: tuple[Candidate, ...] = ()
-    if left.structured and (names or terms):
-        pairs = bench.ranked(_pairs(bench, names, effects, base))
-        best = next((pair for pair in pairs if pair.evidence.accepted), None)
-        if best is not None and _better(bench, best, winner, names):
-            after = leftover_of(bench, best, effects, open_terms)
-            if after.gain < 0.5 * left.gain or not after.structured:
-                winner, left = best, after
-    return Round(bench, noise, names, terms, pairs, winner, left)
-
-
-def _in_own_metric(
-    bench: Bench, fits: list[tuple[Probe, Fit]], effects: Sequence[Effect]
-) -> tuple[Bench, NoiseModel, list[tuple[Probe, Fit]]]:
-    """Take the noise from the best candidate's errors, and fit again where it is not white.
-
-    From the base's errors it would whiten the very effect away.
-    """
-    n = bench.train.n_samples
-    best = min(
-        [fit for _, fit in fits] + [bench.fit],
-        key=lambda fit: fit.cost + 0.5 * fit.n_parameters * np.log(n),
-    )
-    noise = bench.noise(_with_ripple(bench, best, effects))
-    moved = bench.in_metric_of(best, noise)
-    was_white = bench.metric.ar.size == 0 and bench.metric.flow is None
-    if not noise.coloured and not noise.heavy_tailed and was_white:
-        return moved, noise, fits
-    again = []
-    for probe, fit in fits:
-        own = [fit.nonlinear[bench.fit.nonlinear.size :]]
-        again.append((probe, moved.fitted(replace(probe, starts=tuple(own)))))
-    return moved, noise, again
-
-
-def _with_ripple(bench: Bench, best: Fit, effects: Sequence[Effect]) -> Fit:
-    """Return the best fit with a ripple beside it where its errors hold one.
-
-    An autoregression would take a line of the spectrum for the colour of the noise.
-    """
-    ripple = next((effect for effect in effects if effect.episodes), None)
-    if ripple is None or any(e.episodes or e.unnamed for e in best.structure.effects):
-        return best
-    moved = replace(bench, fit=best)
-    probe = moved.prober().probe(ripple)
-    if probe.chance < LEFTOVER_P and probe.gain > probe.degrees * np.log(bench.train.n_samples):
-        return moved.fitted(probe)
-    return best
+    race = system.tried(effects, library)
+    bench: System[A, F] = race.system
+    ranked = bench.ranked([bench.weighed(c) for c in race.candidates if len(c.added) <= room])
+    order = [effect.name for effect in (*effects, *library)]
+    winner, aliases, rivalled = _winner(bench, ranked, order)
+    left = bench.leftover(winner, effects, library)
+    pairs: tuple[Candidate[A, F], ...] = ()
+    if left is not None and left.structured and room > 1:
+        pairs = bench.ranked(_pairs(bench, ranked, effects))
+        best = next((pair for pair in pairs if pair.accepted), None)
+        if best is not None and _is_better(bench, best, winner, ranked):
+            after = bench.leftover(best, effects, library)
+            if after.gain < PAIR_LEFT * left.gain or not after.structured:
+                winner, aliases, left = best, (best,), after
+    every = (*ranked, *pairs, *race.others)
+    step = Round(bench, every, winner, aliases, race.refused, left, rivalled)
+    return step if winner is None else _held_against(step, winner, bench)
 
 
 def _winner(
-    bench: Bench, names: Sequence[Candidate], terms: Sequence[Candidate]
-) -> Candidate | None:
-    name = next((c for c in names if c.evidence.accepted), None)
-    term = next((c for c in terms if c.evidence.accepted), None)
-    if term is None or name is None:
-        return name or term
-    clear = term.rank - name.rank > UNNAMED_GAP
-    return term if clear and _z_over(bench, term, name) > UNNAMED_Z else name
+    system: System[A, F], ranked: Sequence[Candidate[A, F]], order: Sequence[str]
+) -> tuple[Candidate[A, F] | None, tuple[Candidate[A, F], ...], bool]:
+    """Return what is added, its alias set, and whether a term without a name does better.
+
+    The best must win more than chance; which of those beside it is meant is another question.
+    """
+    policy = system.policy
+    standing = [c for c in ranked if c.evidence.stands]
+    best = max((c for c in standing if c.accepted), key=lambda c: c.rank, default=None)
+    if best is None:
+        slow = max((c for c in ranked if c.accepted_slow), key=lambda c: c.slow, default=None)
+        return slow, () if slow is None else (slow,), False
+    names = [c for c in standing if not c.unnamed]
+    rivalled = False
+    if best.unnamed:
+        # A name speaks wherever the records cannot tell it from a term without one.
+        beside = system.near(best, names, policy.term)
+        beside += [c for c in names if _corrects_the_same(system, c, best)]
+        name = max(beside, key=lambda c: c.rank, default=best)
+        rivalled = best.rank - name.rank > RIVALLED
+        best = name
+    pool = standing if best.unnamed and policy.terms_stand else names
+    if policy.refused_stand:
+        pool = list(ranked)
+    pool = [c for c in pool if c is not best and c.rank > -np.inf]
+    simple = _simple_form(best, pool)
+    near = system.near(best, pool, policy.alias) if best.rank > -np.inf else []
+    aliases = [best, *(c for c in pool if (c in near or c is simple) and not c.outgrown)]
+    if policy.plain_speaks:
+        top = max(c.rank for c in aliases)
+        # Names that rounding alone parts stand in the order of the catalogue.
+        aliases.sort(
+            key=lambda c: (
+                c is not simple,
+                sum(one.brings for one in c.added),
+                int((top - c.rank) / RIVALLED),
+                order.index(c.added[0].name) if c.added[0].name in order else len(order),
+            )
+        )
+    return aliases[0], tuple(aliases), rivalled
 
 
-def _z_over(bench: Bench, one: Candidate, other: Candidate) -> float:
-    """Return by how many standard errors one candidate beats another, block by block."""
-    if one.whole_errors is None:
-        return 0.0
-    rival = other.errors if other.whole_errors is None else other.whole_errors
-    gain = 0.5 * (rival**2 - one.whole_errors**2)
-    return paired_z(gain, bench.rows, TRAIN, LATER, OTHER)
+def _simple_form(best: Candidate[A, F], pool: Sequence[Candidate[A, F]]) -> Candidate[A, F] | None:
+    """Return the plain form of the best where that wins nearly as much.
+
+    A refinement that wins a few per cent more is no other effect: the plain form speaks, and the
+    refinement may be found in the next round.
+    """
+    for c in pool:
+        alone = len(c.added) == len(best.added) == 1
+        fair = c.rank > SIMPLE_SHARE * best.rank and not c.outgrown
+        if alone and fair and c.added[0].is_plain_form_of(best.added[0]):
+            return c
+    return None
 
 
-def _better(
-    bench: Bench, pair: Candidate, single: Candidate | None, names: Sequence[Candidate]
+def _corrects_the_same(
+    system: System[A, F], candidate: Candidate[A, F], best: Candidate[A, F]
+) -> bool:
+    """Tell whether a candidate wins nearly as much as the best, by nearly the same correction.
+
+    Where the shape of a term is wrong for both, long records part them by many log-units without
+    a word on which of them is nearer to the physics.
+    """
+    policy = system.policy
+    if not candidate.rank > policy.same_share * best.rank:
+        return False
+    alike = cosine_of(system.rows, system.base_errors, candidate.errors, best.errors)
+    return alike > policy.same_cosine
+
+
+def _pairs(
+    bench: System[A, F], ranked: Sequence[Candidate[A, F]], effects: Sequence[Any]
+) -> list[Candidate[A, F]]:
+    """Fit the best names together with each second one that its errors ask for."""
+    out: dict[frozenset[Hashable], Candidate[A, F]] = {}
+    for head in [c for c in ranked if not c.unnamed][:PAIR_HEADS]:
+        for pair in bench.second(head, effects, out):
+            out[pair.keys] = bench.weighed(pair)
+    return list(out.values())
+
+
+def _is_better(
+    system: System[A, F],
+    pair: Candidate[A, F],
+    single: Candidate[A, F] | None,
+    ranked: Sequence[Candidate[A, F]],
 ) -> bool:
     """Tell whether two effects explain clearly more than one, and than each of the two."""
-    members = {effect.name for effect in pair.added}
-    alone = [c for c in names if c.name in members]
+    alone = [c for c in ranked if c.keys < pair.keys]
     if any(pair.evidence.score - c.evidence.score < PAIR_GAP for c in alone):
         return False
     if single is None:
         return True
-    return pair.rank - single.rank > PAIR_GAP and _z_over(bench, pair, single) > PAIR_Z
+    gain = 0.5 * (single.errors**2 - pair.errors**2)
+    clear = pair.rank - single.rank > PAIR_GAP
+    return clear and paired_z(gain, system.rows, TRAIN, LATER, OTHER) > PAIR_Z
 
 
-def _pairs(
-    bench: Bench, names: Sequence[Candidate], effects: Sequence[Effect], base: FloatArray
-) -> tuple[Candidate, ...]:
-    """Fit the best names together with each second one that its errors ask for."""
-    out: dict[frozenset[str], Candidate] = {}
-    for head in names[:PAIR_HEADS]:
-        first = head.added[0]
-        second_bench = replace(bench, fit=head.fit)
-        prober = second_bench.prober()
-        others = [e for e in effects if e.name != first.name]
-        probes = second_bench.promising([prober.probe(e) for e in others], PAIR_TAILS)
-        for probe in probes:
-            key = frozenset((first.name, probe.effect.name))
-            if key in out:
-                continue
-            fit = second_bench.fitted(probe)
-            out[key] = bench.weighed(fit, [first, probe.effect], base)
-    return tuple(sorted(out.values(), key=lambda c: -c.evidence.score))
+def _held_against(step: Round[A, F], winner: Candidate[A, F], system: System[A, F]) -> Round[A, F]:
+    """Return a round with what its winner explains, and with its rival elsewhere."""
+    rows = system.rows
+    base, left = (float(np.sum(e[rows.valid] ** 2)) for e in (system.base_errors, winner.errors))
+    fitted, later = (max(int(np.count_nonzero(rows.of_part(p))), 1) for p in (TRAIN, LATER))
+    rates = winner.evidence.train / fitted, winner.evidence.later / later
+    rival = _rival(step, winner, system)
+    p = 0.0 if rival is None else step.bench.rejected(winner, rival)
+    return replace(step, share=1.0 - left / base, rates=rates, rival=rival, rival_p=p)
 
 
-def leftover_of(
-    bench: Bench,
-    winner: Candidate | None,
-    effects: Sequence[Effect],
-    open_terms: Sequence[Effect],
-) -> Leftover:
-    """Test the errors of a model for anything that open terms and effects could still explain.
+def _rival(
+    step: Round[A, F], winner: Candidate[A, F], system: System[A, F]
+) -> Candidate[A, F] | None:
+    """Return the best that shares no effect with the winner and explains nearly as much.
 
-    Parameters
-    ----------
-    bench : Bench
-        Records and metric.
-    winner : Candidate or None
-        What was added to the model on the bench.
-    effects, open_terms : sequence of Effect
-        What may be left.
+    A term without a name counts, unless it corrects the same: it is the name, without it.
     """
-    every = bench.everywhere()
-    if winner is not None:
-        whole = winner.whole or every.refitted(winner.fit)
-        every = replace(every, fit=whole)
-    every = every.with_states()
-    prober = every.prober()
-    present = set(every.fit.structure.names)
-    probes = [
-        prober.probe(effect) for effect in (*effects, *open_terms) if effect.name not in present
-    ]
-    searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
-    few = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
-    uneven = unevenness(every, bench.data.part)
-    apart = min((p.chance for p in searched), default=1.0)
-    if bench.metric.flow is not None and few:
-        # Many smooth terms together make up the difference between a noisy φ and a smooth one,
-        # which is the noise itself: here each is tested alone.
-        best = min(few, key=lambda p: p.chance)
-        p_value = min(1.0, len(few) * best.chance, 2.0 * apart)
-        return Leftover(best.gain, best.degrees, p_value, True, uneven)
-    gain, basis = prober.joint([p.columns for p in few]) if few else (0.0, np.zeros((0, 0)))
-    together = _chi2(gain, basis.shape[1])
-    return Leftover(gain, basis.shape[1], min(1.0, 2.0 * together, 2.0 * apart), False, uneven)
+    share = system.policy.rival_share
+    if winner.unnamed or share is None:
+        return None
+    listed = frozenset(key for c in step.aliases for key in c.keys)
+    for c in step.candidates:
+        near = c.accepted and c.rank > share * winner.rank
+        same = near and c.unnamed and _corrects_the_same(system, c, winner)
+        if near and not same and not listed & c.keys:
+            return c
+    return None
 
 
-def _chi2(gain: float, degrees: int) -> float:
-    from scipy.stats import chi2
+def is_worth_adding(step: Round[A, F], here: System[A, F], moved: System[A, F]) -> bool:
+    """Tell whether an effect beyond the first is: a fair share of what is left.
 
-    return float(chi2.sf(2.0 * gain, degrees)) if degrees else 1.0
-
-
-def unevenness(every: Bench, part: NDArray[np.int8]) -> float:
-    """Return by how many standard errors held-out rows are noisier, by a fit to all.
-
-    Parameters
-    ----------
-    every : Bench
-        With all rows fitted.
-    part : ndarray of int, shape (n,)
-        What was fitted and held out before.
+    Where model error rules, and not noise, every term of some flexibility wins something. A term
+    without a name follows a name only where it takes a good part of the plain held-out error.
     """
-    errors = every.fit.errors(every.data, every.metric)
-    valid = every.metric.rows(every.data) > 0.0
-    fitted, held = errors[valid & (part == TRAIN)] ** 2, errors[valid & (part != TRAIN)] ** 2
-    if min(fitted.size, held.size) < 2:
-        return 0.0
-    spread = np.hypot(np.std(fitted) / np.sqrt(fitted.size), np.std(held) / np.sqrt(held.size))
-    return float((held.mean() - fitted.mean()) / max(spread, 1e-300))
+    policy, winner = moved.policy, step.winner
+    if winner is None or not policy.further_share:
+        return winner is not None
+    raw = 1.0 - (moved.held_out_size() / here.held_out_size()) ** 2
+    if raw >= policy.further_raw:
+        return True
+    follows = any(one.unnamed for one in here.found) or not winner.unnamed
+    return step.share >= policy.further_share and follows
 
 
-def aliases(
-    bench: Bench, winner: Candidate, candidates: Sequence[Candidate], base: FloatArray
-) -> tuple[Candidate, ...]:
-    """Return the accepted candidates that these rows cannot tell from a winner, it first."""
-    others = [
-        c
-        for c in candidates
-        if c.evidence.accepted and c.whole_errors is not None and c.name != winner.name
-    ]
-    if winner.whole_errors is None:
-        return (winner,)
-    near = alias_rows(
-        bench.rows,
-        base,
-        [winner.whole_errors, *[c.whole_errors for c in others if c.whole_errors is not None]],
-        [winner.rank, *[c.rank for c in others]],
-    )
-    return (winner, *[c for c, close in zip(others, near[1:], strict=True) if close])
+def _pruned(system: System[A, F]) -> System[A, F]:
+    """Return a model without effects that those found later made needless."""
+    for one in system.found if len(system.found) > 1 else ():
+        less = system.without_needless(one)
+        if less is not None:
+            return _pruned(less)
+    return system
 
 
-def refitted_without(bench: Bench, effect: Effect) -> Bench:
-    """Return the bench with one effect taken out of its model and the rest fitted again.
+def alias_sets(
+    system: System[A, F], rounds: Sequence[Round[A, F]], effects: Sequence[Any]
+) -> dict[Hashable, tuple[Candidate[A, F], ...]]:
+    """Return, by its key, what could stand in the place of each effect found, it first.
 
-    Parameters
-    ----------
-    bench : Bench
-        Model, records, metric.
-    effect : Effect
-        One that the model has.
+    What stood in for two effects at once is no rival of either once both are there.
     """
-    structure, nonlinear = bench.fit.structure.without(effect, bench.fit.nonlinear)
-    fit = fit_structure(structure, bench.train, bench.train_metric, [nonlinear])
-    return replace(bench, fit=fit).with_states()
+    out: dict[Hashable, tuple[Candidate[A, F], ...]] = {}
+    for one in system.found:
+        step = next((s for s in rounds if s.winner is not None and one.key in s.winner.keys), None)
+        if step is not None and len(system.found) == len(step.aliases[0].added) == 1:
+            out[one.key] = step.aliases
+        else:
+            out[one.key] = system.stand_ins(one, step, effects)
+    return out
+
+
+def verdict_of(missing: Sequence[MissingEffect], otherwise: str) -> str:
+    """Return the verdict on what was found."""
+    if not missing:
+        return otherwise
+    if missing[0].unnamed:
+        return "unnamed_term"
+    if any(item.provisional for item in missing):
+        return "provisional"
+    return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"

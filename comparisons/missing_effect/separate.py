@@ -11,7 +11,6 @@ import numpy as np
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
 from comparisons.missing_effect.coefficient_groups import (
-    CoefficientGroups,
     assembled_fit,
     coefficient_groups,
     refitted_on,
@@ -300,16 +299,14 @@ class _Rivals:
         """Return ψ' of a model in an experiment, each effect measured from where it was fitted."""
         data = replace(there, **self.references.levels)
         groups = coefficient_groups(fit, self.data)
-        effects = dict(groups.effects)
         for effect in fit.structure.effects:
             if effect.episodes:
                 gate = float(fit.structure.values_of(effect, fit.nonlinear)[1])
-                size = float(np.sqrt(2.0 * np.mean(effects[effect.name] ** 2)))
+                size = float(np.sqrt(2.0 * np.mean(groups[effect.name] ** 2)))
                 phase = rng.uniform(0.0, 2.0 * np.pi, len(stall_episodes(data, gate)))
                 waves = np.column_stack([np.cos(phase), np.sin(phase)])
-                effects[effect.name] = size * waves.ravel()
-        own = CoefficientGroups(groups.terms, effects, groups.nuisance)
-        return assembled_fit(fit.structure, data, fit.nonlinear, own).output(data)
+                groups[effect.name] = size * waves.ravel()
+        return assembled_fit(fit.structure, data, fit.nonlinear, groups).output(data)
 
 
 def _fitted(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from surge_core.types import FloatArray
 
 # log τ nearer than this to a bound is at it: a hundredth of τ, less than any fit states.
 AT_END = 0.01
+# Linear coefficients that belong to no effect.
+TERMS, NUISANCE = "terms", "nuisance"
 
 
 @dataclass(frozen=True)
@@ -60,21 +63,30 @@ class Structure:
         return np.array([1e-4, *(p.step for effect in self.effects for p in effect.nonlinear)])
 
     @property
+    def slots(self) -> tuple[range, ...]:
+        """Where in the vector the parameters of each effect stand."""
+        ends = np.cumsum([1, *(len(effect.nonlinear) for effect in self.effects)]).tolist()
+        return tuple(range(first, end) for first, end in pairwise(ends))
+
+    def slot_of(self, effect: Effect) -> range:
+        """Return where in the vector the parameters of one effect stand."""
+        return self.slots[self.names.index(effect.name)]
+
+    @property
     def free(self) -> tuple[int, ...]:
         """Which of the parameters that are not linear are fitted."""
-        out, at = [0], 1
-        for effect in self.effects:
-            out += [at + i for i in effect.free]
-            at += len(effect.nonlinear)
-        return tuple(out)
+        pairs = zip(self.effects, self.slots, strict=True)
+        return (0, *(own[i] for effect, own in pairs for i in effect.free))
+
+    @property
+    def switching(self) -> tuple[int, ...]:
+        """Which of them are thresholds at which the answer may change at once."""
+        pairs = zip(self.effects, self.slots, strict=True)
+        return tuple(own[i] for effect, own in pairs if effect.switches for i in effect.free)
 
     def parts(self, nonlinear: FloatArray) -> list[FloatArray]:
         """Return the values of each effect out of the vector."""
-        out, at = [], 1
-        for effect in self.effects:
-            out.append(nonlinear[at : at + len(effect.nonlinear)])
-            at += len(effect.nonlinear)
-        return out
+        return [nonlinear[own.start : own.stop] for own in self.slots]
 
     def ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
         """Return what stands at each port for log τ and the parameters of the effects."""
@@ -100,6 +112,21 @@ class Structure:
     def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
         """Return the values of one effect out of the vector."""
         return self.parts(nonlinear)[self.names.index(effect.name)]
+
+    def layout(self, data: LagData, nonlinear: FloatArray) -> dict[str, slice]:
+        """Return where the linear coefficients of the terms, nuisances and effects stand."""
+        bare, n = self.bare_ports(data, nonlinear), len(self.terms)
+        widths, behind = {TERMS: n}, dict[str, int]()
+        for effect in self.in_order:
+            if effect.linear:
+                alone = effect.acts(bare, data, self.values_of(effect, nonlinear))
+                driven = alone.driven.shape[1] - n
+                home = widths if driven else behind
+                added = 0 if alone.added is None else alone.added.shape[1]
+                home[effect.name] = driven or added
+        widths |= {NUISANCE: data.nuisance.shape[1], **behind}
+        ends = np.cumsum([0, *widths.values()]).tolist()
+        return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))
 
     def adapted(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return the vector with held values as other rows ask for them."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.covariance import orthonormal, sandwich
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import LagData
@@ -21,21 +22,15 @@ if TYPE_CHECKING:
 # Below this many standard errors an effect is not distinguished from none: its 95 % interval
 # holds zero.
 LEAST_SIZE = 2.0
+# Directions of all other numbers that are no rounding.
+LEAST_BASIS = 1e-9
 
 # Steps of a threshold, as shares of the range of φ.
 JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
 
 
 def on_all_rows(fit: Fit, bench: Bench) -> Fit:
-    """Return a model fitted again, to the fitted and the held-out rows alike.
-
-    Parameters
-    ----------
-    fit : Fit
-        To the fitted rows.
-    bench : Bench
-        Records and metric.
-    """
+    """Return a model fitted again, to the fitted and the held-out rows alike."""
     from comparisons.missing_effect.candidates import nudged
 
     data = with_own_state(bench.data, fit).over_all_phi()
@@ -48,13 +43,6 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     """Return the numbers of each effect with their standard errors; τ under the key ``"tau"``.
 
     The covariance is that of clusters: the errors of one surge cycle may depend on each other.
-
-    Parameters
-    ----------
-    fit : Fit
-        To all rows.
-    bench : Bench
-        Records and metric.
     """
     data = with_own_state(bench.data, fit)
     covariance = covariance_of(fit, data, bench)
@@ -65,22 +53,16 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     linear = np.sqrt(np.maximum(np.diag(covariance)[len(free) :], 0.0))
     tau = FittedParameter("tau", fit.tau_s, fit.tau_s * stderr[0], "s")
     out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
-    columns = linear_columns(fit, data)
-    at = 1
+    columns = fit.structure.layout(data, fit.nonlinear)
     for effect in fit.structure.effects:
-        numbers = []
+        slots, numbers = iter(fit.structure.slot_of(effect)), []
         for parameter in effect.parameters:
             if parameter.kind == "linear":
-                rows = columns[effect.name]
-                value, error = _amplitude(effect, fit, data, rows, linear)
-                numbers.append(FittedParameter(parameter.name, value, error, parameter.unit))
+                value, error = _amplitude(effect, fit, data, columns[effect.name], linear)
             else:
-                numbers.append(
-                    FittedParameter(
-                        parameter.name, float(fit.nonlinear[at]), float(stderr[at]), parameter.unit
-                    )
-                )
-                at += 1
+                at = next(slots)
+                value, error = float(fit.nonlinear[at]), float(stderr[at])
+            numbers.append(FittedParameter(parameter.name, value, error, parameter.unit))
         out[effect.name] = tuple(numbers)
     return out
 
@@ -90,52 +72,18 @@ def _over_jumps(fit: Fit, data: LagData, bench: Bench, stderr: FloatArray) -> Fl
 
     Each of several steps to either side is taken for as many standard errors as it costs.
     """
-    out, at = stderr.copy(), 1
+    out = stderr.copy()
     reach = data.phi_range[1] - data.phi_range[0]
     here = solved(fit.structure, data, bench.metric, fit.nonlinear).cost
-    for effect in fit.structure.effects:
-        for i in effect.free if effect.switches else ():
-            for step in JUMP_STEPS:
-                for sign in (-1.0, 1.0):
-                    there = fit.nonlinear.copy()
-                    there[at + i] += sign * step * reach
-                    lost = solved(fit.structure, data, bench.metric, there).cost - here
-                    # A step that costs half a log-unit is one standard error.
-                    error = step * reach / float(np.sqrt(2.0 * max(lost, 0.5)))
-                    out[at + i] = max(out[at + i], error)
-        at += len(effect.nonlinear)
-    return out
-
-
-def linear_columns(fit: Fit, data: LagData) -> dict[str, slice]:
-    """Return which linear coefficients belong to which effect.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    data : LagData
-        What it was fitted to.
-    """
-    ports = fit.structure.ports(data, fit.nonlinear)
-    q, k = ports.driven.shape[1], data.nuisance.shape[1]
-    out, driven, added = {}, len(fit.structure.terms), q + k
-    for effect in fit.structure.in_order:
-        if not effect.linear:
-            continue
-        alone = effect.acts(
-            fit.structure.bare_ports(data, fit.nonlinear),
-            data,
-            fit.structure.values_of(effect, fit.nonlinear),
-        )
-        n_driven = alone.driven.shape[1] - len(fit.structure.terms)
-        n_added = 0 if alone.added is None else alone.added.shape[1]
-        if n_driven:
-            out[effect.name] = slice(driven, driven + n_driven)
-            driven += n_driven
-        else:
-            out[effect.name] = slice(added, added + n_added)
-            added += n_added
+    for at in fit.structure.switching:
+        for step in JUMP_STEPS:
+            for sign in (-1.0, 1.0):
+                there = fit.nonlinear.copy()
+                there[at] += sign * step * reach
+                lost = solved(fit.structure, data, bench.metric, there).cost - here
+                # A step that costs half a log-unit is one standard error.
+                error = step * reach / float(np.sqrt(2.0 * max(lost, 0.5)))
+                out[at] = max(out[at], error)
     return out
 
 
@@ -162,33 +110,17 @@ def _amplitude(
 
 
 def covariance_of(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
-    """Return the covariance of a fit, of shape (p + q, p + q): free parameters, then linear ones.
-
-    Parameters
-    ----------
-    fit : Fit
-        To these rows.
-    data : LagData
-        The rows.
-    bench : Bench
-        Metric and blocks; the errors of one block may depend on each other.
-    """
+    """Return the covariance of the free parameters of a fit, then its linear ones."""
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
     slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
     answer = fit.structure.respond(data, fit.nonlinear)
     seen = bench.metric.seen(np.column_stack([slopes, answer.columns]), solution.decay, data)
-    scale = np.sqrt(np.einsum("ij,ij->j", seen, seen))
-    scale[scale == 0.0] = 1.0
-    seen /= scale
-    inverse = np.linalg.pinv(seen.T @ seen, rcond=1e-12, hermitian=True)
     rows = bench.rows
     scores = seen * solution.errors[:, None]
     counted = rows.block >= 0
     sums = np.zeros((int(rows.block.max()) + 1, seen.shape[1]))
     np.add.at(sums, rows.block[counted], scores[counted])
-    meat = sums.T @ sums * (sums.shape[0] / max(sums.shape[0] - 1, 1))
-    covariance = inverse @ meat @ inverse
-    return np.asarray(covariance / np.multiply.outer(scale, scale))
+    return sandwich(seen.T @ seen, sums)[0]
 
 
 def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
@@ -199,29 +131,21 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     stand at their bounds, where slopes tell no error. Of what the answer loses with the amplitude
     at zero, the part that nothing else in the model can make up for is compared with what the
     errors are in that direction; those of one block may depend on each other.
-
-    Parameters
-    ----------
-    effect : Effect
-        One that the model has.
-    fit : Fit
-        The model, fitted to all rows.
-    bench : Bench
-        Records, metric and blocks.
     """
     data, structure = with_own_state(bench.data, fit), fit.structure
     solution = solved(structure, data, bench.metric, fit.nonlinear)
     fit = replace(fit, coefficients=solution.coefficients)
     lost = fit.output(data) - without_amplitude(fit, effect, data).output(data)
-    own = _own_numbers(fit, effect)
+    own = structure.slot_of(effect)
     free = [i for i in structure.free if i not in own]
     slopes = structure.slopes(data, fit.nonlinear, solution.coefficients, free)
     columns = structure.respond(data, fit.nonlinear).columns
     if effect.linear:
-        columns = np.delete(columns, linear_columns(fit, data)[effect.name], axis=1)
+        columns = np.delete(columns, fit.structure.layout(data, fit.nonlinear)[effect.name], axis=1)
     joint = np.column_stack([lost, slopes, columns])
     seen = bench.metric.seen(joint, solution.decay, data)
-    alone = _apart_from(seen[:, 0], seen[:, 1:])
+    basis = orthonormal(seen[:, 1:], LEAST_BASIS)
+    alone = seen[:, 0] - basis @ (basis.T @ seen[:, 0])
     counted = bench.rows.block >= 0
     sums = np.bincount(bench.rows.block[counted], (alone * solution.errors)[counted])
     n_blocks = int(np.unique(bench.rows.block[counted]).size)
@@ -230,40 +154,11 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     return squared / error if error > 0.0 else (np.inf if squared > 0.0 else 0.0)
 
 
-def _own_numbers(fit: Fit, effect: Effect) -> range:
-    """Return which parameters that are not linear belong to an effect."""
-    at = 1
-    for other in fit.structure.effects:
-        if other.name == effect.name:
-            break
-        at += len(other.nonlinear)
-    return range(at, at + len(effect.nonlinear))
-
-
-def _apart_from(column: FloatArray, others: FloatArray) -> FloatArray:
-    """Return the part of a column that others cannot make up."""
-    scale = np.sqrt(np.einsum("ij,ij->j", others, others))
-    others = others[:, scale > 0.0] / scale[scale > 0.0]
-    left, size, _ = np.linalg.svd(others, full_matrices=False)
-    basis = left[:, size > 1e-9 * size.max(initial=0.0)]
-    return np.asarray(column - basis @ (basis.T @ column))
-
-
 def without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
-    """Return a fit with the amplitude of one effect at zero, everything else as it is.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fitted model.
-    effect : Effect
-        One that it has.
-    data : LagData
-        What it was fitted to.
-    """
+    """Return a fit with the amplitude of one effect at zero, everything else as it is."""
     nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
     if effect.linear:
-        coefficients[linear_columns(fit, data)[effect.name]] = 0.0
+        coefficients[fit.structure.layout(data, fit.nonlinear)[effect.name]] = 0.0
     else:
-        nonlinear[_own_numbers(fit, effect)[0]] = 0.0
+        nonlinear[fit.structure.slot_of(effect)[0]] = 0.0
     return replace(fit, nonlinear=nonlinear, coefficients=coefficients)

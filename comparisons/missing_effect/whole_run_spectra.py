@@ -53,11 +53,6 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     Surge switches the known cells on and off: that leaves side lines in pairs, as far below a
     harmonic of the cells as above it, and nearly as high. How unequal the pairs of this record are
     is the null; a pattern of its own has no partner.
-
-    Parameters
-    ----------
-    reading : RecordReading
-        The record.
     """
     from scipy.ndimage import maximum_filter1d, median_filter
     from scipy.stats import norm
@@ -119,11 +114,6 @@ def averaged_noise(readings: Sequence[RecordReading]) -> float:
 
     The spectrum between the harmonics of the cells is taken as a + b f² (white noise, and that of
     the flow's derivative) and seen through the average.
-
-    Parameters
-    ----------
-    readings : sequence of RecordReading
-        Of each record.
     """
     from scipy.optimize import nnls
     from scipy.signal import welch

@@ -12,22 +12,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
-from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.coefficient_groups import coefficient_groups
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.evidence import evidence_of, paired_z
+from comparisons.missing_effect.engine import Policy, System, Tried
+from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.probes import Probe
 from comparisons.missing_effect.structure import Structure
-from comparisons.missing_effect.uncertainty import linear_columns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -53,14 +57,16 @@ MATTERS_OF_PSI_P = 0.03
 # the curve make up for a part of it.
 INERTIA, INERTIA_FACTOR, INERTIA_TWINS = "flow_inertia", 1.5, 8
 SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
-# Explaining this share of what the best explains is as good.
-RIVAL_SHARE = 0.8
 # Far from its reference a transducer loses an offset with its sensitivity.
 SENSITIVITY = "sensitivity_drift"
 # Cycles are left out every so many at a time.
 FOLDS = 4
 # A drift draws τ far away: a search begins here too, in the middle of what compressors have.
 USUAL_TAU_S, FAR = 0.018, 0.7
+
+# Explaining four fifths of what the best explains is as good, whatever decides about it alone.
+WHOLE_RUNS = Policy(term=ALIAS, alias=Tie(0.0, 0.2), refused_stand=True)
+NOTHING_LEFT = Leftover(0.0, 0, 1.0)
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -143,75 +149,143 @@ class Nulls:
     rms: float
 
 
-def plain_bench(data: LagData, terms: tuple[str, ...], n_names: int, block: int) -> Bench:
-    """Fit the base model with all errors weighed alike.
+NO_NULLS = Nulls({}, np.nan)
 
-    Weighing them by their colour would fit what is fast, where the model of the lag is worst.
+
+@dataclass(frozen=True)
+class WholeRuns(Bench):
+    """Whole runs as the search works on them: all rows fitted, all errors weighed alike.
 
     Parameters
     ----------
-    data : LagData
-        Whole runs.
-    terms : tuple of str
-        Of the characteristic.
-    n_names : int
-        Names that compete.
-    block : int
-        Rows of a block.
+    nulls : Nulls
+        What each effect reads of twins; without any, chance decides.
+    named : frozenset of str
+        What was found, and all that these records do not tell from it.
+    """
+
+    policy: Policy = WHOLE_RUNS
+    nulls: Nulls = NO_NULLS
+    named: frozenset[str] = frozenset()
+
+    def fitted(self, probe: Probe) -> Fit:
+        """Fit the model with the effect of a probe, from several starts of τ."""
+        log_tau, *others = self.fit.nonlinear
+        far = abs(log_tau - np.log(USUAL_TAU_S)) > FAR
+        # The best of many shapes by its score is all that twins can be asked for.
+        most = 1 if probe.effect.name in SHAPED else None
+        starts = [
+            np.concatenate([[first], others, own])
+            for own in probe.starts[:most]
+            for first in ([log_tau, np.log(USUAL_TAU_S)] if far else [log_tau])
+        ]
+        structure = self.fit.structure.with_effect(probe.effect)
+        return fit_structure(structure, self.train, self.train_metric, starts)
+
+    def tried(
+        self, effects: Sequence[Effect], library: Sequence[Effect] = ()
+    ) -> Tried[Effect, Fit]:
+        """Fit all that these runs can show, in the plain metric."""
+        prober = self.prober()
+        probes = [prober.probe(effect) for effect in effects if effect.name not in self.named]
+        return Tried(self, [p.candidate(self.fitted(p)) for p in probes if p.starts])
+
+    def leftover(
+        self, winner: LagCandidate | None, effects: Sequence[Effect], library: Sequence[Effect]
+    ) -> Leftover:
+        """Return that nothing is said of what is left: twins of it were not measured."""
+        return NOTHING_LEFT
+
+    def with_winner(self, step: LagRound) -> WholeRuns:
+        """Return the model with what a round found."""
+        assert step.winner is not None
+        named = self.named | {candidate.name for candidate in step.aliases}
+        return replace(self, fit=step.winner.fit, named=named)
+
+    def without_needless(self, one: Effect) -> None:
+        """Keep all that was found."""
+
+    def stand_ins(
+        self, one: Effect, step: LagRound | None, effects: Sequence[Effect]
+    ) -> tuple[LagCandidate, ...]:
+        """Return the alias set of the round that found it."""
+        return () if step is None else step.aliases
+
+    @cached_property
+    def left_out(self) -> FloatArray:
+        """Errors of the model by fits to other cycles."""
+        return cycles_left_out(self.fit, self)
+
+    def judged(self, candidate: LagCandidate) -> LagCandidate:
+        """Return a candidate weighed against its null, ranked by what it explains beyond that."""
+        fit, evidence = candidate.fit, candidate.evidence
+        null = self.nulls.by_effect.get(candidate.name)
+        share = 1.0 - fit.cost / self.fit.cost
+        beyond = null is None or null.beyond(share, number_of(candidate.added[0], fit, self))
+        # At an end of what is searched for τ it is no lag that was fitted.
+        beyond &= bool(TAUS_S[0] < fit.tau_s < TAUS_S[-1])
+        later, other, z = 0.0, float("nan"), 0.0
+        # Cycles left out cost four fits more: only for what may be named at all.
+        if beyond:
+            gain = 0.5 * (self.left_out**2 - cycles_left_out(fit, self) ** 2)
+            later, z = float(gain.sum()), paired_z(gain, self.rows, TRAIN)
+            last = self.data.record == self.data.record.max()
+            other = float("nan") if last.all() else float(gain[last].sum())
+        least = float("nan") if null is None else null.least_share
+        evidence = replace(
+            evidence,
+            later=later,
+            other=other,
+            z=z,
+            score=evidence.score + later,
+            share=share,
+            least_share=np.inf if not beyond and share >= least else least,
+        )
+        of_twins = null.share if null and np.isfinite(null.share) else 0.0
+        return replace(candidate, evidence=evidence, rank=share - of_twins)
+
+    def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
+        """Return what explains most beyond its null first."""
+        return System.ranked(self, candidates)
+
+    def near(
+        self, best: LagCandidate, others: Sequence[LagCandidate], tie: Tie
+    ) -> list[LagCandidate]:
+        """Return those that explain nearly as much beyond their null, and what reads the same."""
+        null = self.nulls.by_effect.get(best.name)
+        alike = {SENSITIVITY} if best.name == "bias_drift" else set()
+        number = number_of(best.added[0], best.fit, self)
+        if null is not None and null.is_of_inertia(number):
+            alike.add(INERTIA)
+        least = (1.0 - tie.share) * best.rank
+        return [c for c in others if c.rank >= least or c.name in alike]
+
+
+def plain_bench(data: LagData, terms: tuple[str, ...], n_names: int, block: int) -> WholeRuns:
+    """Fit the base model with all errors weighed alike.
+
+    Weighing them by their colour would fit what is fast, where the model of the lag is worst.
     """
     everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
     structure, metric = Structure(terms), Metric(float(np.std(data.measured)) / 30.0)
     start = np.array([np.log(USUAL_TAU_S)])
-    first = Bench.start(everything, structure, metric, start, block, n_names)
+    first = WholeRuns.start(everything, structure, metric, [start], block, n_names)
     # Neighbours of an average say the same: a row counts for less than one.
-    metric = Metric(rms_left(first) * float(np.sqrt(error_memory(first))))
-    return Bench.start(everything, structure, metric, first.fit.nonlinear, block, n_names)
+    metric = Metric(rms_left(first) * float(np.sqrt(_error_memory(first))))
+    return WholeRuns.start(everything, structure, metric, [first.fit.nonlinear], block, n_names)
 
 
-def fitted(bench: Bench, effects: Sequence[Effect]) -> dict[str, Fit]:
-    """Return the model of a bench with each effect, by name.
-
-    Parameters
-    ----------
-    bench : Bench
-        Model and rows.
-    effects : sequence of Effect
-        Names that compete.
-    """
-    prober, out = bench.prober(), {}
-    taus = [bench.fit.nonlinear[0]]
-    if abs(taus[0] - np.log(USUAL_TAU_S)) > FAR:
-        taus.append(np.log(USUAL_TAU_S))
-    for effect in effects:
-        # The best of many shapes by its score is all that twins can be asked for.
-        most = 1 if effect.name in SHAPED else None
-        starts = [
-            np.concatenate([[log_tau], bench.fit.nonlinear[1:], own])
-            for own in prober.probe(effect).starts[:most]
-            for log_tau in taus
-        ]
-        if starts:
-            structure = bench.fit.structure.with_effect(effect)
-            out[effect.name] = fit_structure(structure, bench.train, bench.train_metric, starts)
-    return out
+def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> dict[str, Fit]:
+    """Return the model of a bench with each effect, by name."""
+    return {c.name: c.fit for c in bench.tried(effects).candidates}
 
 
 def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
-    """Return the one number by which an effect is judged.
-
-    Parameters
-    ----------
-    effect : Effect
-        The last one that the fit has.
-    fit : Fit
-        The model with it.
-    bench : Bench
-        The model without it.
-    """
+    """Return the one number by which an effect is judged."""
     if effect.name in SHAPED:
         return float(np.sqrt(max(1.0 - fit.cost / bench.fit.cost, 0.0))) * rms_left(bench)
     if effect.linear:
-        return float(fit.coefficients[linear_columns(fit, bench.data)[effect.name]][0])
+        return float(coefficient_groups(fit, bench.data)[effect.name][0])
     values = fit.structure.values_of(effect, fit.nonlinear)
     if effect.name == "facility_heating":
         # Size and time are known together alone: what is lost by the end of the record.
@@ -220,13 +294,7 @@ def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
 
 
 def rms_left(bench: Bench) -> float:
-    """Return the rms error of a model on the scored rows.
-
-    Parameters
-    ----------
-    bench : Bench
-        Model and rows.
-    """
+    """Return the rms error of a model on the scored rows."""
     return bench.metric.sigma * float(np.sqrt(2.0 * bench.fit.cost / bench.rows.n_fitted))
 
 
@@ -329,105 +397,11 @@ def _null(
     return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia)
 
 
-def weighed(bench: Bench, effects: Sequence[Effect], nulls: Nulls) -> tuple[Candidate, ...]:
-    """Fit each effect to all rows and weigh it by what it explains, and by cycles left out.
-
-    Parameters
-    ----------
-    bench : Bench
-        Model, records with all rows fitted, plain metric.
-    effects : sequence of Effect
-        Names that compete.
-    nulls : Nulls
-        What each reads of twins; without any, chance decides.
-
-    Returns
-    -------
-    tuple of Candidate
-        What explains most beyond its null first.
-    """
-    base, left_out = bench.errors(bench.fit), cycles_left_out(bench.fit, bench)
-    fits = fitted(bench, effects)
-    out = []
-    for effect in effects:
-        if effect.name not in fits:
-            continue
-        fit, null = fits[effect.name], nulls.by_effect.get(effect.name)
-        share = 1.0 - fit.cost / bench.fit.cost
-        number = number_of(effect, fit, bench)
-        beyond = null is None or null.beyond(share, number)
-        # At an end of what is searched for τ it is no lag that was fitted.
-        beyond &= bool(TAUS_S[0] < fit.tau_s < TAUS_S[-1])
-        errors = bench.errors(fit)
-        added = fit.n_parameters - bench.fit.n_parameters
-        searched = effect.searched * bench.n_names
-        evidence = evidence_of(bench.rows, base, errors, added=added, searched=searched)
-        later, other, z = 0.0, float("nan"), 0.0
-        # Cycles left out cost four fits more: only for what may be named at all.
-        if beyond:
-            gain = 0.5 * (left_out**2 - cycles_left_out(fit, bench) ** 2)
-            later, z = float(gain.sum()), paired_z(gain, bench.rows, TRAIN)
-            last = bench.data.record == bench.data.record.max()
-            other = float("nan") if last.all() else float(gain[last].sum())
-        least = float("nan") if null is None else null.least_share
-        evidence = replace(
-            evidence,
-            later=later,
-            other=other,
-            z=z,
-            score=evidence.score + later,
-            share=share,
-            least_share=np.inf if not beyond and share >= least else least,
-        )
-        out.append(Candidate((effect,), fit, errors, evidence))
-    return tuple(sorted(out, key=lambda c: -_excess(c, nulls)))
-
-
-def _excess(candidate: Candidate, nulls: Nulls) -> float:
-    """Return what an effect explains beyond what it explains of twins."""
-    null = nulls.by_effect.get(candidate.name)
-    return candidate.evidence.share - (null.share if null and np.isfinite(null.share) else 0.0)
-
-
-def rivals(
-    bench: Bench, winner: Candidate, candidates: Sequence[Candidate], nulls: Nulls
-) -> tuple[Candidate, ...]:
-    """Return the winner and those that explain nearly as much beyond their null.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model without them.
-    winner : Candidate
-        Accepted.
-    candidates : sequence of Candidate
-        All.
-    nulls : Nulls
-        What each reads of twins.
-    """
-    least = RIVAL_SHARE * _excess(winner, nulls)
-    null = nulls.by_effect.get(winner.name)
-    alike = {SENSITIVITY} if winner.name == "bias_drift" else set()
-    if null is not None and null.is_of_inertia(number_of(winner.added[0], winner.fit, bench)):
-        alike.add(INERTIA)
-    others = [
-        c for c in candidates if c is not winner and (_excess(c, nulls) >= least or c.name in alike)
-    ]
-    return (winner, *others)
-
-
 def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:
     """Return the whitened error of each row by a fit that did not see its cycle.
 
     Every fourth cycle is left out at a time: later time alone would be a handful of cycles of one
     record, and what one of them does would decide.
-
-    Parameters
-    ----------
-    fit : Fit
-        To all rows.
-    bench : Bench
-        Records and metric.
     """
     data, rows = bench.data, bench.rows
     out = np.zeros(data.n_samples)
@@ -439,15 +413,9 @@ def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:
     return out
 
 
-def error_memory(bench: Bench) -> float:
-    """Return how many neighbouring errors of a model say the same: (1 + ρ)/(1 − ρ).
-
-    Parameters
-    ----------
-    bench : Bench
-        Model and rows.
-    """
-    errors, valid = bench.errors(bench.fit), bench.rows.valid
+def _error_memory(bench: Bench) -> float:
+    """Return how many neighbouring errors of a model say the same: (1 + ρ)/(1 − ρ)."""
+    errors, valid = bench.base_errors, bench.rows.valid
     both = valid[1:] & valid[:-1]
     one, two = errors[:-1][both], errors[1:][both]
     rho = float(one @ two) / max(float(np.sqrt((one @ one) * (two @ two))), 1e-300)

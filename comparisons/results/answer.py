@@ -87,13 +87,13 @@ class Answer(Displayed):
     estimator : str
         Key of the estimator to believe; empty where none is recommended.
     label : str
-        Name of the estimator whose curve is shown.
+        Name of the first estimator of the table.
     why : str
         Whom to believe and why, or why none.
     others : str
         How the τ of the other steps compare with it.
     curve : Curve or None
-        The characteristic; None where none may be read.
+        The characteristic; None where no τ is quoted, or the estimator states no curve.
     verdict : str
         Of the diagnosis; empty where it was not made.
     missing : str
@@ -132,8 +132,7 @@ class Answer(Displayed):
         if self.curve is None:
             return "none to read"
         low, high = self.curve.valid_phi
-        whose = "" if self.estimator else f"; by {self.label}, which is not recommended"
-        return f"{self.curve.equation()}, for φ from {low:.3f} to {high:.3f}{whose}"
+        return f"{self.curve.equation()}, for φ from {low:.3f} to {high:.3f}"
 
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:

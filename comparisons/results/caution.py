@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 FINDINGS_SHOWN = 3
 
 _BIAS = (
-    "the pressures were low-passed at {cutoff_hz} Hz before the flow equation, and on data "
-    "low-passed at 48 Hz there the τ of ψ' is known to come out high (about 30 ms where 18 ms is "
-    "true, on a rig with known truth at 98.5 % speed: “sindy-surge demo” prints it). Standard "
-    "errors and intervals state scatter and do not contain this bias"
+    "the pressures were low-passed at {cutoff_hz} Hz before the flow equation, which biases the τ "
+    "of ψ' (“sindy-surge demo” shows it on a rig with known truth). Standard errors and intervals "
+    "state scatter and do not contain this bias"
 )
 SENTENCES: Mapping[str, str] = {
     # Which τ to quote.
@@ -23,7 +22,7 @@ SENTENCES: Mapping[str, str] = {
     # Of the records.
     "ledger": "{finding}",
     "no_ledger": "no ledger lies beside it, so it is not known how it was filtered; a low-pass "
-    "before the flow equation makes τ come out high",
+    "before the flow equation biases τ",
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
     "speeds_apart": "one curve and one τ are fitted to records of different corrected speeds "
@@ -40,9 +39,8 @@ SENTENCES: Mapping[str, str] = {
     "estimator": "{remark}",
     "taus_apart": "{who} put τ between {low_ms:.3g} and {high_ms:.3g} ms: what they disagree on is "
     "not measured by those rows",
-    "shared_rows": "classic_ml and sindy are not independent evidence here: {shared}, so "
-    "that an error of these signals is in both; their agreement checks the choice of terms and of "
-    "the noise model, not the record",
+    "shared_rows": "classic_ml and sindy are not independent evidence here. {shared}, so their "
+    "agreement does not confirm the measurement.",
     "psi_low_passed": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ is not: ψ' "
     "was low-passed and φ was not, or differently; filter ψ' and every s_i(φ) alike",
     "corners_apart": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ from "

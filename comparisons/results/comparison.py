@@ -184,7 +184,7 @@ class Comparison(Displayed):
     table : tuple of ComparisonRow
         The recommended estimator first, then by trust.
     valid_phi : tuple of float
-        Range of φ in which the curves can be trusted.
+        Range of φ in which the first curve of the table can be trusted.
     cautions : tuple of Caution
         What a reader should know of all lines.
     quotable : tuple of str
@@ -204,6 +204,11 @@ class Comparison(Displayed):
     def recommended(self) -> str | None:
         """Key of the estimator whose τ is to be quoted; None where none may be."""
         return next(iter(self.quotable), None)
+
+    @property
+    def first(self) -> EstimatorResult:
+        """The recommended estimator; the first of the table where none is."""
+        return self.result(self.table[0].estimator)
 
     @property
     def has_whole_run(self) -> bool:
@@ -241,7 +246,7 @@ class Comparison(Displayed):
         )
 
     def _sheet(self) -> Sheet:
-        rows = self.rows
+        rows = self.first.rows
         low, high = self.valid_phi
         cautions = texts_of(self.cautions)
         fields = (

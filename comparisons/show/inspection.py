@@ -24,6 +24,8 @@ INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # whatever the rate from so many rows on.
 STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
 # Where the machine surges is shown if it is less than so much of the record.
+# Steps that differ by less than this share of one differ by the rounding of the clock.
+EVEN = 1e-3
 SURGING_SHARE = 0.8
 
 
@@ -77,13 +79,17 @@ def _file_text(inspection: Inspection) -> str:
 def _clock_text(clock: ClockFacts) -> str:
     text = (
         f"clock: {clock.name} [{clock.unit}], {clock.first_s:.9g} to {clock.last_s:.9g} s, "
-        f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
+        f"{clock.rate_hz:.6g} rows a second, {_spacing(clock.jitter)}"
     )
     troubles = [
         f"{kind} {counted(count, 'time')} (the first before row {first})"
         for kind, (count, first) in clock.troubles.items()
     ]
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
+
+
+def _spacing(jitter: float) -> str:
+    return "evenly spaced" if jitter < EVEN else f"steps even to {jitter:.2g} of one"
 
 
 def _surge_text(inspection: Inspection) -> Iterator[str]:

@@ -45,25 +45,31 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     Returns
     -------
     Picture
-        Curves with bands of ± 2 standard errors, full where φ dwells and faint outside.
+        Curves with bands of ± 2 standard errors, each where the φ of its own rows dwells.
     """
-    rows, ends = comparison.rows, comparison.valid_phi
+    first = comparison.first
+    rows, ends = first.rows, comparison.valid_phi
+    scored_phi = _scored_phi(first)
     figure = style.new_figure(height_in=6.0)
     ax = style.dress(figure.add_subplot())
-    _histogram_behind(ax, rows.phi, ends)
+    _histogram_behind(ax, scored_phi, ends)
     seen, shown = [], []
     for result in comparison.results:
         phi, value, stderr = np.asarray(result.model.table).T
-        inside = (phi >= ends[0]) & (phi <= ends[1]) & dwelt_on(phi, rows.phi)
+        low, high = result.model.valid_phi
+        inside = (phi >= low) & (phi <= high) & dwelt_on(phi, _scored_phi(result))
+        if not (inside.any() and np.isfinite(value[inside]).all()):
+            continue
         seen.append(value[inside])
         _curve_with_band(ax, comparison, result, inside)
         at_ends = (
             round_to_error(float(np.interp(end, phi, value)), float(np.interp(end, phi, stderr)))
-            for end in ends
+            + f" at φ = {end:.3f}"
+            for end in (low, high)
         )
         shown.append(f"{result.label} {' and '.join(at_ends)}")
     if truth is not None:
-        _draw_truth(ax, truth, (rows.phi.min(), rows.phi.max()))
+        _draw_truth(ax, truth, ends)
         seen.append(truth.quasi_steady[(truth.phi >= ends[0]) & (truth.phi <= ends[1])])
         if truth.phi[0] <= ends[0] and ends[1] <= truth.phi[-1]:
             true = (significant(v, 3) for v in np.interp(ends, truth.phi, truth.quasi_steady))
@@ -71,21 +77,20 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     central = np.percentile(rows.measured, [2.0, 98.0])
     bottom, top = style.robust_limits(*seen, central, margin=0.12)
     ax.set_ylim(bottom - HISTOGRAM_SHARE * 0.5 * (top - bottom), top)
-    ax.set_xlim(*style.robust_limits(rows.phi, margin=0.02))
+    ax.set_xlim(*style.robust_limits(scored_phi, margin=0.02))
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
     symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
     ax.set_ylabel(f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]")
     style.legend_above(figure, ax)
-    places = " and ".join(f"φ = {end:.3f}" for end in ends)
     known = "" if truth is None else f" Dotted black: {truth.label}."
     return Picture(
         f"Quasi-steady {NAMES[rows.target]}",
         figure,
-        f"Quasi-steady {SYMBOLS[rows.target]} over φ, with the histogram of φ. At {places}, "
-        f"between which φ dwells: {'; '.join(shown)}.",
-        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where φ "
-        "dwells, from its 5th to its 95th percentile; beyond it curves are faint, for "
-        f"they are extrapolated there.{known}",
+        f"Quasi-steady {SYMBOLS[rows.target]} over φ, the histogram that of {first.label}. "
+        f"{'; '.join(shown)}.",
+        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where "
+        f"the φ of {first.label} dwells, from 5th to 95th percentile. Each curve is "
+        f"drawn where the φ of its own rows dwells.{known}",
     )
 
 
@@ -220,13 +225,18 @@ def _draw_truth(ax: Axes, truth: Truth, ends: tuple[float, float]) -> None:
     ax.plot(truth.phi[drawn], truth.quasi_steady[drawn], **dots, label=label)
 
 
+def _scored_phi(result: EstimatorResult) -> FloatArray:
+    """Return φ of the rows that hold the curve: a whole run's in forward flow."""
+    trusted = result.rows.phi if result.whole_run is None else result.whole_run.trusted_phi
+    return trusted if trusted.size else result.rows.phi
+
+
 def _curve_with_band(
     ax: Axes, comparison: Comparison, result: EstimatorResult, inside: BoolArray
 ) -> None:
     phi, value, stderr = np.asarray(result.model.table).T
     own = style.estimator_styles(each.name for each in comparison.results)[result.name]
     look: dict[str, Any] = {"color": own.colour, "linestyle": own.dashes}
-    ax.plot(phi, value, **look, lw=1.0, alpha=0.35)
     full = np.where(inside, value, np.nan)
     ax.plot(phi, full, **look, lw=1.8, label=style.printable(result.label))
     ends = value - BAND * stderr, value + BAND * stderr

@@ -342,18 +342,19 @@ def _ledger_table(source: str, history: Sequence[LedgerEntry]) -> Table:
 
 def _summary_list(fit: Comparison) -> Bullets:
     """Say in words what was compared, and how it is to be read."""
-    rows = fit.rows
+    rows = fit.first.rows
     held_out = int(np.count_nonzero(~rows.train))
     low, high = fit.valid_phi
+    label = fit.first.label
     items = (
         f"{rows.phi.size} rows in {counted(rows.n_segments, 'segment')} of "
-        f"{counted(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
-        f"the last {held_out} rows were held out for the score.",
+        f"{counted(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted "
+        f"by {label}; the last {held_out} rows were held out for the score.",
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         "rewarded on held-out cycles too: held-out rms says how well "
         f"{SYMBOLS[rows.target]} is predicted, not how near the characteristic is.",
-        f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
-        "Outside it the curves are extrapolated.",
+        f"Its φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
+        "Each curve is drawn where the φ of its own rows dwells.",
     )
     name = NAMES[rows.target]
     return Bullets(items, "plain", name[0].upper() + name[1:])

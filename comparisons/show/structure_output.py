@@ -17,6 +17,9 @@ from surge_core.terms import pretty_term
 WIDTH = 100
 # One in a hundred resampled records is no evidence for a term.
 LEAST_INCLUSION = 0.01
+QUOTE = (
+    "The τ to quote is that of `sindy-surge compare`, which sets other estimators beside this one."
+)
 
 
 def structure_text(found: FoundStructure) -> str:
@@ -25,7 +28,7 @@ def structure_text(found: FoundStructure) -> str:
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
-    return "\n".join([*lines, "", found.summary.sheet().text(), *_wrapped(_left_out(found))])
+    return "\n".join([*lines, "", found.summary.sheet().text(), *_wrapped(_left_out(found)), QUOTE])
 
 
 def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
@@ -45,7 +48,7 @@ def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
     fields = Table(sheet.title, (Head("quantity"), Head("value", prose=True)), rows)
     tables = (fields, *map(Table.of, sheet.grids))
     return (
-        Part("Structure", (opening, *tables, Words(_left_out(found)))),
+        Part("Structure", (opening, *tables, Words(f"{_left_out(found)} {QUOTE}"))),
         Part("Characteristic", (_picture(found),)),
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.show.json_output import curve_json, state_json, tau_json
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
@@ -32,7 +33,7 @@ def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
         "valid_phi": list(fit.valid_phi),
         "rows_scored": fit.n_scored,
         "cycles": fit.n_cycles,
-        **state_json(fit.fit_state.code, fit.fit_state.advice),
+        **state_json(fit.fit_state.code, why_withheld(fit) or fit.fit_state.advice),
         "history": [asdict(fit.entry)],
     }
 
@@ -50,8 +51,8 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     low, high = fit.valid_phi
     if not math.isfinite(fit.time_constant_s):
         return (
-            f"ψ_QS is not stated, nor τ: {fit.n_cycles} cycles, {fit.n_scored} rows. "
-            f"{fit.fit_state.advice}\n{fit.entry.did}"
+            f"ψ_QS is not stated, nor τ ({fit.n_cycles} cycles, {fit.n_scored} rows): "
+            f"{why_withheld(fit)}\n{fit.entry.did}"
         )
     lines = [
         f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
@@ -65,6 +66,8 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     inside = [(p, v, s) for p, v, s in zip(*_curve(fit), strict=True) if low <= p <= high]
     lines += [f"{p:.3f}   {round_to_error(v, s)}" for p, v, s in inside]
     lines.append(fit.entry.did)
+    if is_vague(fit):
+        lines.append("τ or the curve is known to no better than 12 %: `run` does not state it")
     if searched:
         lines.append(
             "the breakpoints were searched: errors of the curve do not contain this choice and are "

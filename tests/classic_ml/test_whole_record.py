@@ -19,6 +19,7 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.twin import twin_of
 from classic_ml.whole_record.branches import Specification, fit_branches
 from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
+from classic_ml.whole_record.interval import with_stored_gas
 from classic_ml.whole_record.passes import Passes, passes_of, threshold_between
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
@@ -187,15 +188,31 @@ def test_a_twin_without_noise_reads_the_model(signals: RakeSignals, fitted: Whol
         signals.chain,
         pairs=tuple(replace(p, noise_Pa=0.0, noise_aft_Pa=0.0) for p in signals.chain.pairs),
     )
-    twin = twin_of(
-        replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit
-    ).measured(np.random.default_rng(0))
+    model = twin_of(replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit)
+    twin = replace(model, offset_Pa=0.0).measured(np.random.default_rng(0))
     for pair in quiet.of_plane(25):
         at = np.abs(twin.flow_kg_s[pair.name]) > 5.0
         smooth = twin.flow_kg_s[pair.name][at] - signals.flow_kg_s[pair.name][at]
         assert abs(np.median(smooth)) < 0.05
     again = fit_whole_record(twin, interval=False)
     assert again.tau_s == pytest.approx(fit.tau_s, rel=0.1)
+
+
+def test_rakes_that_disagree_show_the_error_of_calibration(
+    signals: RakeSignals, fitted: WholeRecordRun
+) -> None:
+    """Two rakes at two immersions: two degrees of freedom a record, over sixteen records."""
+    fit = fitted.fits_[0]
+    model = (fit.passes, fit.spec, fit.in_stall, fit.fit)
+    twin = twin_of(signals, *model)
+    # Rakes that agree: both carry the flow of rake A.
+    alike = {name: twin.flow_kg_s[name.replace("_B_", "_A_")] for name in twin.flow_kg_s}
+    twin = replace(twin, flow_kg_s=alike, offset_Pa=15.0)
+    found = [
+        twin_of(twin.measured(np.random.default_rng(seed)), *model).offset_Pa for seed in range(16)
+    ]
+    # The square of a deviation from 32 degrees of freedom is known to a quarter.
+    assert np.mean(np.square(found)) == pytest.approx(15.0**2, rel=0.5)
 
 
 def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
@@ -224,7 +241,7 @@ def test_a_wide_interval_is_refused_and_a_second_record_helps(
     series: CoefficientSeries, fitted: WholeRecordRun
 ) -> None:
     fit = fitted.fits_[0]
-    wide = replace(fit, cycles=replace(fit.cycles, log_tau=0.15))
+    wide = replace(fit, cycles=replace(fit.cycles, log_tau=0.13))
     second = fit_whole_runs([series])
     unlikely = replace(second, time_constant_stderr_s_=0.5 * second.time_constant_s_)
     one = _combined([series], (wide,), 2, unlikely)
@@ -277,10 +294,41 @@ def late(signals: RakeSignals, rows: int) -> RakeSignals:
 def test_a_late_plane_is_reported_and_withholds(
     signals: RakeSignals, fitted: WholeRecordRun
 ) -> None:
-    assert fitted.fits_[0].delay == (0.0, 0.0)
+    assert abs(fitted.fits_[0].delay[0]) < 0.001
     fit = fit_whole_record(late(signals, 5), n_twins=0)
     assert fit.delay[0] == pytest.approx(0.005, abs=0.0021)
     assert fit.state is FitState.MISALIGNED
+
+
+def test_gas_that_the_duct_stores_widens_the_interval_of_both_readings(
+    signals: RakeSignals, series: CoefficientSeries, fitted: WholeRecordRun
+) -> None:
+    fit = fitted.fits_[0]
+    assert fit.planes.n == 2
+    machine = signals.chain.compressor
+    # Ten times the volume takes waves √10 times as long from plane to plane.
+    large = machine.model_copy(update={"internal_volume_m3": 10.0 * machine.internal_volume_m3})
+    none = machine.model_copy(update={"internal_volume_m3": 0.0})
+    moved = [
+        with_stored_gas(
+            replace(signals, chain=replace(signals.chain, compressor=other)),
+            fit.passes,
+            fit.spec,
+            fit.in_stall,
+            fit.fit,
+        )
+        for other in (none, machine, large)
+    ]
+    apart = [abs(math.log(each.tau_s / fit.tau_s)) for each in moved]
+    assert apart[0] < 1e-3 < apart[2]
+    assert apart[1] < apart[2]
+    second = fit_whole_runs([series])
+    wide = replace(fit, planes=replace(fit.planes, log_tau=0.08))
+    narrow = replace(fit, planes=replace(fit.planes, log_tau=0.0))
+    one, other = (_combined([series], (each,), 2, second) for each in (wide, narrow))
+    assert one.time_constant_s_ == other.time_constant_s_
+    shares = [each.time_constant_stderr_s_ / each.time_constant_s_ for each in (one, other)]
+    assert shares[0] == pytest.approx(math.hypot(shares[1], 0.08))
 
 
 def test_a_ramp_in_the_law_of_the_probes_moves_only_what_is_near_zero(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import contextlib
+import dataclasses
 import io
 import json
 import math
@@ -61,7 +61,7 @@ def test_each_step_has_its_own_document_or_the_sentence_that_refused(
     # Above 90 % speed T31 leaves the limits of its acquisition.
     assert "T31" in document["work"]["refused"]
     (refused,) = document["answer"]["refused"]
-    assert refused.startswith("ψ is not known: no T31 that counts")
+    assert refused.startswith("ψ is not known: it needs T31, and both T31 probes were")
     assert document["reduce"]["history"][0]["step"] == "read"
     assert (made[0] / "series.csv").is_file()
 
@@ -83,7 +83,7 @@ def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
     known = dataclasses.replace(comparison, quotable=(name,))
     said = answer_of(known, readings=(vague, sharp)).others
     assert "agrees with structure" in said
-    assert "vaguely to agree or not: work" in said
+    assert "too uncertain to compare" in said
 
 
 def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() -> None:
@@ -93,7 +93,8 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
     assert answer.estimator == ""
     assert "`sindy-surge reduce`" in answer.why
     assert "none to quote" in str(answer)
-    assert "which is not recommended" in answer.curve_words
+    assert answer.curve is None
+    assert answer.curve_words == "none to read"
     held = dataclasses.replace(comparison.results[0].model, time_constant_stderr_s=0.0)
     results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
     answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))

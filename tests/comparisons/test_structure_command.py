@@ -95,7 +95,7 @@ def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     report = tmp_path / "r.html"
     run_through = numbers(tmp_path, whole, "--report", report)
     assert run_through["fitted_to"] == "whole runs"
-    assert "one free run" in capsys.readouterr().out.splitlines()[0]
+    assert "one simulation" in capsys.readouterr().out.splitlines()[0]
     tau = run_through["time_constant_s"]
     # The rig's truth is 18 ms; its rms error over records is a millisecond.
     assert abs(tau["value"] - 0.018) < 0.003

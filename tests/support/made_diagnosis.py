@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
@@ -17,12 +17,12 @@ from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.results import Gap, MissingEffect, ParameterRow
-from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.structure import Structure
 
 PERIOD_S = 0.01
@@ -122,7 +122,7 @@ def made_diagnosis(verdict: str) -> LagDiagnosis:
 
 def _found(
     verdict: str, data: LagData
-) -> tuple[tuple[MissingEffect, Fit], tuple[Candidate, ...]] | None:
+) -> tuple[tuple[MissingEffect, Fit], tuple[LagCandidate, ...]] | None:
     delay, second = find_effect("transport_delay"), find_effect("second_order_lag")
     branch = find_effect("hysteresis")
     term = next(e for e in open_terms(data) if e.name == "phi*dphi")
@@ -143,12 +143,12 @@ def _found(
     members = [winner, other] if verdict == "alias_set" else [winner]
     near = (1e-4,) if other is second else (0.004,) if other is delay else (0.1, 0.3, 0.01)
     candidates = (
-        Candidate((winner,), fit, np.zeros(0), evidence(950.0)),
-        Candidate((other,), made_fit(other, near), np.zeros(0), evidence(944.5)),
-        Candidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
+        LagCandidate((winner,), fit, np.zeros(0), evidence(950.0)),
+        LagCandidate((other,), made_fit(other, near), np.zeros(0), evidence(944.5)),
+        LagCandidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
     )
-    provisional = verdict == "provisional"
-    item = missing_effect(winner, members, provisional, parameters, {"score": 950.0})
+    doubts = Leftover(171.0, 38, 3e-51).doubts if verdict == "provisional" else ()
+    item = missing_effect(winner, members, parameters, {"score": 950.0}, doubts)
     return (item, fit), candidates
 
 
@@ -165,24 +165,22 @@ def evidence(score: float, later: float = 200.0) -> Evidence:
     return Evidence(2.0, later, -5.0, -1.5, 1.0, score)
 
 
-def _refused(bench: Bench) -> Candidate:
+def _refused(bench: Bench) -> LagCandidate:
     effect = find_effect("bias_drift")
-    return Candidate((effect,), made_fit(effect, (1e-5,)), np.zeros(0), evidence(-3.0, -8.0))
+    return LagCandidate((effect,), made_fit(effect, (1e-5,)), np.zeros(0), evidence(-3.0, -8.0))
 
 
 def _concluded(
     verdict: str,
     bench: Bench,
     found: tuple[MissingEffect, Fit] | None,
-    candidates: tuple[Candidate, ...],
+    candidates: tuple[LagCandidate, ...],
     noise: NoiseModel,
     left: Leftover,
 ) -> LagDiagnosis:
     base = bench.fit
     item, after = found if found else (None, base)
-    terms = tuple(c for c in candidates if c.unnamed)
-    names = tuple(c for c in candidates if not c.unnamed)
-    step = Round(bench, noise, names, terms, (), candidates[0] if found else None, left)
+    step = LagRound(bench, candidates, candidates[0] if found else None, leftover=left)
     after_rms = 1.02 * SIGMA if found else 2.0 * SIGMA if left.structured else 1.01 * SIGMA
     before_rms = 2.1 * SIGMA if found else after_rms
     tau_by_alias = {}

@@ -13,18 +13,16 @@ from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.results import MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
-from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.systems.score import Probe
 from comparisons.missing_effect.systems.structure import Structure
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound, ModelSystem
 
 PERIOD_S = 0.02
 STATES = {"q": "m", "v": "m/s", "i": "A"}
@@ -90,14 +88,15 @@ def placed_at(model: Model, name: str, which: int = 0) -> Placed:
     return Placed(effect, effect.places(model)[which], (1.0, 1.0, 1.0), ())
 
 
-def candidate(placed: Placed, score: float, *, accepted: bool = True) -> Candidate:
+def candidate(placed: Placed, score: float, *, accepted: bool = True) -> ModelCandidate:
     """Return a candidate with a score, or one that was not fitted for NaN."""
-    probe = Probe(placed, (), 0.1, max(score, 3.0) if np.isfinite(score) else 2.0)
+    promised = max(score, 3.0) if np.isfinite(score) else 2.0
+    model_fit = fit_of(machine(), (), ())
     if not np.isfinite(score):
-        return Candidate(placed, probe)
+        return ModelCandidate((placed,), model_fit, promised=promised)
     p = 1e-12 if accepted else 0.3
     evidence = Evidence(0.7 * score, 0.3 * abs(score), float("nan"), 6.0, p, score)
-    return Candidate(placed, probe, evidence=evidence)
+    return ModelCandidate((placed,), model_fit, evidence=evidence, promised=promised)
 
 
 def fit_of(model: Model, effects: tuple[Placed, ...], runs: tuple[CheckRun, ...]) -> Fit:
@@ -108,33 +107,32 @@ def fit_of(model: Model, effects: tuple[Placed, ...], runs: tuple[CheckRun, ...]
     return Fit(structure, theta, (), np.ones(3), 0.0, errors, ())
 
 
-def _found(model: Model, won: Candidate, aliases: tuple[Candidate, ...]) -> MissingEffect:
-    effect = won.placed.effect
-    place = won.placed.where(model)
+def _found(model: Model, won: ModelCandidate, aliases: tuple[ModelCandidate, ...]) -> MissingEffect:
+    effect = won.added[0].effect
+    place = won.added[0].where(model)
     numbers = enumerate(effect.numbers)
     return MissingEffect(
         effect.name,
-        tuple(dict.fromkeys(c.placed.name for c in aliases)),
+        tuple(dict.fromkeys(c.added[0].name for c in aliases)),
         False,
         tuple(FittedParameter(n.name, 12.3 + j, 0.4, "N/m^3") for j, n in numbers),
         {"train": 812.0, "held_out": 340.0, "z": 8.1, "score": 1148.0, "p_value": 1e-200},
-        label=won.placed.label(model),
+        label=won.added[0].label(model),
         place=place,
-        alias_labels=tuple(c.placed.label(model) for c in aliases),
+        alias_labels=tuple(c.added[0].label(model) for c in aliases),
         unnamed=effect.unnamed,
         equation=effect.equation.replace("{s}", place.get("signal", place.get("input", ""))),
         says=effect.says,
-        confirm={c.placed.label(model): c.placed.effect.confirm for c in aliases},
+        confirm={c.added[0].label(model): c.added[0].effect.confirm for c in aliases},
     )
 
 
-def _rounds(model: Model, bench: Bench, training: tuple[CheckRun, ...]) -> tuple[Round, ...]:
+def _rounds(model: Model, bench: Bench) -> tuple[ModelRound, ...]:
     nan = float("nan")
 
-    def tried(name: str, which: int, score: float, *, accepted: bool = True) -> Candidate:
+    def tried(name: str, which: int, score: float, *, accepted: bool = True) -> ModelCandidate:
         return candidate(placed_at(model, name, which), score, accepted=accepted)
 
-    metric = raw_metric([run.measured for run in training])
     first = (
         tried("cubic_stiffness", 0, 18344.0),
         tried("parameter_drift", 4, 412.0, accepted=False),
@@ -148,7 +146,7 @@ def _rounds(model: Model, bench: Bench, training: tuple[CheckRun, ...]) -> tuple
     third = (tried("open_product", 1, 61.3),)
     refused = {"backlash(U) of U": "the input never turns around"}
     return tuple(
-        Round(bench, metric, ranked, ranked[0], ranked[:n_aliases], refused, share=share)
+        ModelRound(ModelSystem(bench), ranked, ranked[0], ranked[:n_aliases], refused, share=share)
         for ranked, n_aliases, share in ((first, 1, 0.93), (second, 2, 0.31), (third, 1, 0.01))
     )
 
@@ -183,13 +181,13 @@ def made_diagnosis(
     training = tuple(run for run in made if not run.held_out)
     records = Records.of(model, [Experiment(run.name, PERIOD_S, run.signals) for run in training])
     before = fit_of(model, (), training)
-    rounds = _rounds(model, Bench(records, (), (), before), training)
+    rounds = _rounds(model, Bench(records, (), (), before))
     if nothing:
         refused = tuple(c for c in rounds[1].candidates if not c.accepted)
         rounds = (replace(rounds[1], candidates=refused, winner=None, aliases=()),)
     won = [] if nothing else [step for step in rounds[:2] if step.winner is not None]
     missing = tuple(_found(model, r.winner, r.aliases) for r in won if r.winner is not None)
-    after = fit_of(model, tuple(r.winner.placed for r in won if r.winner is not None), training)
+    after = fit_of(model, tuple(r.winner.added[0] for r in won if r.winner is not None), training)
     parameters = tuple(
         ParameterRow(
             key, p.unit, 1.3 * p.start, p.start, 0.02 * p.start, 0.01 * p.start, key == "L"

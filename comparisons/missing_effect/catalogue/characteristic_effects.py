@@ -202,7 +202,7 @@ CHARACTERISTIC_EFFECTS = (
         _heating_times,
         3.0,
         "slow drift looks like a second, slow pole to one-step estimators; a free run hardly minds",
-        "T25 and N_c recorded through the test, or a steady point after it",
+        "a steady point after the test",
     ),
     Effect(
         "speed_droop",

@@ -59,28 +59,18 @@ def _asymmetric(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def _flow_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     # Of the measured φ averaged as ψ' was: without cells the same as φ itself.
     phi = data.get("phi_averaged", ports.phi)
-    below = share_below(phi, values[1], data)
+    below = _share_below(phi, values[1], data)
     return ports.with_tau_factor(np.maximum(1.0 + values[0] * below, LEAST_TAU_SHARE))
 
 
 def rising(data: LagData) -> FloatArray:
     """Return the mean sign of dφ/dt over the step that ends at each row."""
     slope = data["dphi_s"]
-    return np.asarray(1.0 - 2.0 * share_below(slope, 0.0, data))
+    return np.asarray(1.0 - 2.0 * _share_below(slope, 0.0, data))
 
 
-def share_below(signal: FloatArray, threshold: float, data: LagData) -> FloatArray:
-    """Return which share of the step that ends at each row a signal spent below a threshold.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (N,)
-        On the fine grid, joined by straight lines.
-    threshold : float
-        The threshold.
-    data : LagData
-        Its runs; the first row of each counts for itself.
-    """
+def _share_below(signal: FloatArray, threshold: float, data: LagData) -> FloatArray:
+    """Return which share of the step that ends at each row a signal spent below a threshold."""
     before = np.concatenate([signal[:1], signal[:-1]])
     before[data.fine_runs[:, 0]] = signal[data.fine_runs[:, 0]]
     low, high = np.minimum(before, signal), np.maximum(before, signal)

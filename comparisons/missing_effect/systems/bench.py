@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
@@ -120,29 +119,6 @@ class Bench:
         later = runs_of(records, records.held_out, between, begun=False)
         whole = replace(self, records=records, train=train, later=later, white=None)
         return whole.refitted(self.fit.structure, self.fit.theta)
-
-    def without_needless(self) -> Bench:
-        """Return the bench without effects that those found later made needless.
-
-        One that stood in for what came after wins less than its numbers cost, and its absence
-        makes the plain held-out error no larger.
-        """
-        structure, n_effects = self.fit.structure, len(self.fit.structure.effects)
-        metric = metric_of(self.fit.errors)
-        whole = whitened_fit(replace(self, white=None), self.fit, metric).cost
-        n = sum(np.count_nonzero(np.isfinite(errors)) for errors in self.fit.errors)
-        first = self.fit.theta.size - SLOTS * n_effects
-        for e, placed in enumerate(structure.effects if n_effects > 1 else ()):
-            others = tuple(other for other in structure.effects if other is not placed)
-            at = np.arange(first + SLOTS * e, first + SLOTS * (e + 1))
-            moved = self.refitted(replace(structure, effects=others), np.delete(self.fit.theta, at))
-            moved = replace(moved, white=None)
-            lost = whitened_fit(moved, moved.fit, metric).cost - whole
-            numbers = sum(not held for held in placed.held) + placed.effect.own_state
-            same = moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN
-            if same and lost < 0.5 * numbers * np.log(n):
-                return moved.without_needless()
-        return self
 
     def timed(self) -> Bench:
         """Return the bench with the timing offsets that whitened errors ask for."""

@@ -11,34 +11,38 @@ from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover
 from comparisons.missing_effect.results import CORRELATION, MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.search import (
+    alias_sets,
+    is_worth_adding,
+    search,
+    search_round,
+    verdict_of,
+)
 from comparisons.missing_effect.systems.bench import Bench, base_bench
-from comparisons.missing_effect.systems.candidates import Round
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
-from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
-from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
 from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.systems.search import search_round, still_aliases
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
 MOST_EFFECTS = 4
-# What an effect beyond the first must explain: of the squared whitened errors, or of the squared
-# raw errors on held-out rows.
-LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
+STILL_FORETOLD = "inputs and states still foretell the error that is left"
 # Share of a parameter's range that counts as at its bound.
 AT_BOUND = 1e-4
 
@@ -93,49 +97,39 @@ def diagnose_model(
     given = [check] if isinstance(check, Experiment) else list(check)
     checks = [_checkable(e.of(model), records) for e in given]
     report("fitting the model")
-    bench = base_bench(records)
-    base = bench
-    rounds: list[Round] = []
-    added = 0
-    while added < most_effects and not bench.fit.failed:
-        report(f"round {len(rounds) + 1}")
-        rounds.append(search_round(bench, catalogue, library))
-        winner = rounds[-1].winner
-        if winner is None or winner.fit is None:
-            break
-        moved = bench.with_winner(winner.fit, winner.raw).between_chosen()
-        unnamed = any(e.effect.unnamed for e in bench.fit.structure.effects)
-        if bench is not base and not _worth_adding(rounds[-1], bench, moved, unnamed):
-            break
-        bench, added = moved, added + len(winner.added)
-    bench = bench.without_needless()
-    if records.shortened and added < most_effects and not bench.fit.failed:
+    base = ModelSystem(base_bench(records))
+    system, rounds = search(base, catalogue, library, most_effects, report)
+    if records.shortened and len(system.found) < most_effects and not system.failed:
         report("looking for what changes slowly")
-        bench, rounds = _with_drift(bench, rounds, catalogue)
-    rounds = [replace(step, aliases=still_aliases(bench, step)) for step in rounds]
+        system, rounds = _with_drift(system, rounds, catalogue)
+    sets = alias_sets(system, rounds, catalogue)
+    rounds = [
+        replace(s, aliases=sets.get(s.winner.added[0].key, s.aliases)) if s.winner else s
+        for s in rounds
+    ]
     report("testing what is left")
-    left = leftover_of(bench, catalogue, library)
+    left = leftover_of(system.bench, catalogue, library)
     report("fitting all rows")
-    return _concluded(base, bench, tuple(rounds), checks, left)
+    return _concluded(base.bench, system.bench, tuple(rounds), checks, left)
 
 
 def _with_drift(
-    bench: Bench, rounds: list[Round], catalogue: Sequence[SystemEffect]
-) -> tuple[Bench, list[Round]]:
+    system: ModelSystem, rounds: list[ModelRound], catalogue: Sequence[SystemEffect]
+) -> tuple[ModelSystem, list[ModelRound]]:
     """Look for a drift over whole records, of which the search saw the first rows alone."""
     drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
-    whole = bench.over_whole_records()
-    if not drifts or whole.fit.failed:
-        return bench, rounds
+    whole = ModelSystem(system.bench.over_whole_records())
+    if not drifts or whole.failed:
+        return system, rounds
     step = search_round(whole, drifts, ())
-    if step.winner is None or step.winner.fit is None:
-        return bench, rounds
-    moved = whole.with_winner(step.winner.fit, step.winner.raw)
-    if not _worth_adding(step, whole, moved, unnamed=False):
-        return bench, rounds
+    if step.winner is None:
+        return system, rounds
+    moved = ModelSystem(whole.bench.with_winner(step.winner.fit, step.winner.onward))
+    if not is_worth_adding(step, whole, moved):
+        return system, rounds
     # A round that added nothing is the last one, and this one stands in its place.
-    last, keys = rounds[-1].winner, {e.key for e in bench.fit.structure.effects}
-    idle = last is None or not all(placed.key in keys for placed in last.added)
+    last, keys = rounds[-1].winner, {e.key for e in system.found}
+    idle = last is None or not last.keys <= keys
     return moved, [*rounds[: len(rounds) - idle], step]
 
 
@@ -168,23 +162,10 @@ def _settle_rows(model: Model, n_samples: int) -> int:
     return max(10, 5 * len(model.states), own)
 
 
-def _worth_adding(step: Round, bench: Bench, moved: Bench, unnamed: bool) -> bool:
-    """Tell whether an effect beyond the first is: a fair share of what is left.
-
-    Where model error rules, and not noise, every term of some flexibility wins something. A term
-    without a name follows a name only where it takes a good part of the plain held-out error.
-    """
-    assert step.winner is not None
-    raw = 1.0 - (moved.held_out_size() / bench.held_out_size()) ** 2
-    if raw >= LEAST_FURTHER_RAW_SHARE:
-        return True
-    return step.share >= LEAST_FURTHER_SHARE and (unnamed or not step.winner.unnamed)
-
-
 def _concluded(
     base: Bench,
     bench: Bench,
-    rounds: tuple[Round, ...],
+    rounds: tuple[ModelRound, ...],
     checks: Sequence[Experiment],
     left: Leftover,
 ) -> SystemDiagnosis:
@@ -194,24 +175,24 @@ def _concluded(
     if bench is not base:
         after, after_cov, metric = _whole(bench)
     added = after.structure.effects
-    won = [
-        (r, placed)
-        for r in rounds
-        if r.winner is not None
-        for placed in r.winner.added
-        if placed.key in {e.key for e in added}
-    ]
+    keys = {e.key for e in added}
+    won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
     checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
     worse = [run for run in checked if np.any(run.worse)]
     missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
     if left.structured:
-        missing = (*missing[:1], *(_doubted(item) for item in missing[1:]))
+        # A name beyond the first may stand in for what is left.
+        later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
+        missing = (*missing[:1], *later)
+    open_ = not missing and (
+        base.fit.failed or _foretells_badly(base) or left.structured or left.disturbed
+    )
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
-        verdict=_verdict(missing, base, left),
+        verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
-        parameters=_parameters(records, before, before_cov, after, after_cov),
+        parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
         remarks=(*_remarks(base, rounds, missing, left), *remarks),
         model=model,
@@ -245,24 +226,22 @@ def _whole_runs(records: Records, structure: Structure) -> tuple[Run, ...]:
 def _found(
     fit: Fit,
     cov: FloatArray,
-    step: Round,
+    step: ModelRound,
     placed: Placed,
     records: Records,
     worse: Sequence[CheckRun],
 ) -> MissingEffect:
     winner = step.winner
     assert winner is not None
-    assert winner.evidence is not None
     model, evidence = records.model, winner.evidence
-    alone = len(winner.added) == 1
-    aliases = [c for c in step.aliases if alone] or [winner]
-    labels = tuple(c.label(model) for c in aliases) if alone else (placed.label(model),)
-    names = tuple(dict.fromkeys(c.placed.name for c in aliases)) if alone else (placed.name,)
-    numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
+    aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
+    labels = tuple(one.label(model) for one in aliases)
+    names = tuple(dict.fromkeys(one.name for one in aliases))
+    numbers = numbers_of(fit, placed, cov, step.bench.bench.train[0].clock)
     doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
     confirm = {placed.label(model): placed.words(model).confirm}
-    for c in aliases if alone else ():
-        confirm.setdefault(c.placed.label(model), c.placed.words(model).confirm)
+    for one in aliases:
+        confirm.setdefault(one.label(model), one.words(model).confirm)
     return MissingEffect(
         placed.name,
         names,
@@ -287,30 +266,6 @@ def _found(
     )
 
 
-def _doubted(item: MissingEffect) -> MissingEffect:
-    """Doubt a name beyond the first in a model whose error is still foretold.
-
-    It may stand in for what is left.
-    """
-    if item.unnamed:
-        return item
-    doubts = (*item.doubts, "inputs and states still foretell the error that is left")
-    return replace(item, provisional=True, doubts=doubts)
-
-
-def _verdict(missing: Sequence[MissingEffect], base: Bench, left: Leftover) -> str:
-    if base.fit.failed:
-        return "unexplained_structure"
-    if not missing:
-        open_ = _foretells_badly(base) or left.structured or left.disturbed
-        return "unexplained_structure" if open_ else "nothing_missing"
-    if missing[0].unnamed:
-        return "unnamed_term"
-    if any(item.provisional for item in missing):
-        return "provisional"
-    return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"
-
-
 def _foretells_badly(bench: Bench) -> bool:
     """Tell whether the rows held out go far more wrong than those fitted.
 
@@ -320,52 +275,27 @@ def _foretells_badly(bench: Bench) -> bool:
     return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
 
 
-def _parameters(
-    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
-) -> tuple[ParameterRow, ...]:
-    rows = []
-    for i, (name, parameter) in enumerate(records.model.params.items()):
-        value = float(after.theta[i])
-        reach = AT_BOUND * (parameter.high - parameter.low)
-        rows.append(
-            ParameterRow(
-                name,
-                parameter.unit,
-                float(before.theta[i]),
-                value,
-                float(np.sqrt(max(before_cov[i, i], 0.0))),
-                float(np.sqrt(max(after_cov[i, i], 0.0))),
-                min(value - parameter.low, parameter.high - value) < reach,
-            )
-        )
-    return (*rows, *_record_parameters(records, before, before_cov, after, after_cov))
-
-
-def _record_parameters(
-    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
-) -> list[ParameterRow]:
-    """Return the parameters that are of each record, one row a record."""
+def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
+    """Return the parameters by the fits before and after, those of each record one row a record."""
     model, rows = records.model, []
+    for i, (name, p) in enumerate(model.params.items()):
+        rows.append(_row(name, p, [(fit.theta[i], cov[i, i]) for fit, cov in fits]))
     for k, (name, p) in enumerate(model.per_record.items()):
         for r, record in enumerate(records.whole):
             at, c = model.own_states + k, k + len(model.per_record) * r
-            value, reach = float(after.starts[r][at]), AT_BOUND * (p.high - p.low)
-            own_before, own_after = (
-                float(np.sqrt(max(cov[fit.theta.size + c, fit.theta.size + c], 0.0)))
-                for fit, cov in ((before, before_cov), (after, after_cov))
-            )
-            rows.append(
-                ParameterRow(
-                    f"{name} of {record.name}",
-                    p.unit,
-                    float(before.starts[r][at]),
-                    value,
-                    own_before,
-                    own_after,
-                    min(value - p.low, p.high - value) < reach,
-                )
-            )
-    return rows
+            own = [(fit.starts[r][at], np.diag(cov)[fit.theta.size + c]) for fit, cov in fits]
+            rows.append(_row(f"{name} of {record.name}", p, own))
+    return tuple(rows)
+
+
+def _row(name: str, p: P, fitted: Sequence[tuple[float, float]]) -> ParameterRow:
+    """Return a parameter by its values and variances before and after."""
+    (before, after), (before_stderr, after_stderr) = zip(
+        *((float(value), float(np.sqrt(max(variance, 0.0)))) for value, variance in fitted),
+        strict=True,
+    )
+    at_bound = min(after - p.low, p.high - after) < AT_BOUND * (p.high - p.low)
+    return ParameterRow(name, p.unit, before, after, before_stderr, after_stderr, at_bound)
 
 
 def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, ...]:
@@ -435,7 +365,7 @@ def _refitted_words(run: CheckRun) -> list[str]:
 
 
 def _remarks(
-    base: Bench, rounds: Sequence[Round], missing: Sequence[MissingEffect], left: Leftover
+    base: Bench, rounds: Sequence[ModelRound], missing: Sequence[MissingEffect], left: Leftover
 ) -> tuple[str, ...]:
     out = []
     if not base.fit.failed and (left.structured or left.disturbed):
@@ -456,7 +386,7 @@ def _remarks(
     if last is None or last.winner is None:
         return tuple(out)
     if not all(placed.label(model) in found for placed in last.winner.added):
-        label = last.winner.label(model)
+        label = label_of(last.winner.added, model)
         share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
         kind = "a term without a name" if last.winner.unnamed else "small"
         out.append(f"{label} would explain {share} that are left; {kind}, and not added.")

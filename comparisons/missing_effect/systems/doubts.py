@@ -9,47 +9,35 @@ import numpy as np
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.candidates import Round
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
 from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
 FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
+# A term without a name that wins this share more on the rows fitted says that more is there.
+OUTFITTED_SHARE = 0.5
 
 
 def doubts_of(
-    step: Round,
+    step: ModelRound,
     placed: Placed,
     numbers: Sequence[FittedParameter],
     worse: Sequence[CheckRun],
     model: Model,
 ) -> tuple[str, ...]:
-    """Return why a name is not firm; empty where it is.
-
-    Parameters
-    ----------
-    step : Round
-        The round that found it.
-    placed : Placed
-        The effect.
-    numbers : sequence of FittedParameter
-        Its numbers.
-    worse : sequence of CheckRun
-        Check records whose error grew.
-    model : Model
-        The model.
-    """
+    """Return why a name is not firm; empty where it is."""
     winner = step.winner
     assert winner is not None
-    assert winner.evidence is not None
     out = []
     amplitude = bool(numbers) and placed.effect.linear
     if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
@@ -57,9 +45,9 @@ def doubts_of(
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
     if step.rivalled:
         out.append("a term without a name explains more")
-    elif step.outfitted:
+    elif _outfitted(step, winner):
         out.append("terms without a name fit the rows fitted better, if not those held out")
-    if not winner.stands:
+    if not winner.evidence.stands:
         out.append("it explains the slow part of the error alone, which a disturbance may be")
     fitted, held = step.rates
     if held < LEAST_HELD_OUT_RATE * fitted:
@@ -69,10 +57,10 @@ def doubts_of(
         )
     rival = step.rival
     if rival is not None and step.rival_p > REJECTED:
-        share = 100.0 * rival.score / winner.score
+        share = 100.0 * rival.rank / winner.rank
         out.append(
-            f"{rival.label(model)} explains {share:.0f} % as much, and the record does not reject "
-            "it"
+            f"{label_of(rival.added, model)} explains {share:.0f} % as much, and the record does "
+            "not reject it"
         )
     if worse:
         names = ", ".join(run.name for run in worse)
@@ -80,16 +68,16 @@ def doubts_of(
     return tuple(out)
 
 
-def left_words(left: Leftover, named: bool) -> str:
-    """Say that something is missing that nothing here fits: its size, and what it follows.
+def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
+    """Tell whether something without a name fits the rows fitted far better than the winner."""
+    won = winner.evidence.train
+    least = won + max(RIVALLED, OUTFITTED_SHARE * won)
+    unnamed = [c.evidence for c in step.candidates if c.unnamed]
+    return any(e.train > least and not e.at_end for e in unnamed)
 
-    Parameters
-    ----------
-    left : Leftover
-        What a model leaves.
-    named : bool
-        Whether something was found before.
-    """
+
+def left_words(left: Leftover, named: bool) -> str:
+    """Say that something is missing that nothing here fits: its size, and what it follows."""
     lead = "Beyond what was found s" if named else "S"
     if left.structured:
         follows = f"; it follows {left.follows} most" if left.follows else ""
@@ -112,15 +100,7 @@ def left_words(left: Leftover, named: bool) -> str:
 def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
-    """Test what a model leaves for anything that effects, inputs or states still explain.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model and the records.
-    catalogue, library : sequence of SystemEffect
-        Names, and terms without one.
-    """
+    """Test what a model leaves for anything that effects, inputs or states still explain."""
     if bench.fit.failed:
         return Leftover(1.0, 1.0, 0.0, np.inf)
     rng = np.random.default_rng(0)

@@ -77,15 +77,7 @@ class Fit:
 
 
 def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
-    """Return the rms of each state over runs, 1e-3 at least of nothing.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    paths : sequence of Path
-        Simulated runs.
-    """
+    """Return the rms of each state over runs, 1e-3 at least of nothing."""
     good = [path.states for path in paths if not path.failed]
     if not good:
         return np.full(structure.n_states, UNKNOWN_SCALE)
@@ -317,15 +309,7 @@ class _Search:
 
 
 def parameter_steps(structure: Structure, theta: FloatArray) -> FloatArray:
-    """Return steps of θ for differences: a small share of its size, or of its range.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    theta : ndarray
-        Where.
-    """
+    """Return steps of θ for differences: a small share of its size, or of its range."""
     low, high = structure.bounds
     reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
     steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
@@ -341,19 +325,7 @@ def parameter_steps(structure: Structure, theta: FloatArray) -> FloatArray:
 
 
 def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = None) -> Fit:
-    """Return a fit on other runs: only their starts are estimated.
-
-    Parameters
-    ----------
-    fit : Fit
-        Fitted to others.
-    runs : sequence of Run
-        The runs.
-    metric : Metric
-        Colour of the errors.
-    rows : int, optional
-        Estimate the starts from so many rows alone.
-    """
+    """Return a fit on other runs: only their starts are estimated."""
 
     def begun(given: Sequence[Run]) -> Fit:
         means = [run.x0_mean for run in given]

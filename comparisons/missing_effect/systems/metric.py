@@ -10,8 +10,6 @@ import numpy as np
 from comparisons.missing_effect.autoregression import autoregression
 from surge_core.types import BoolArray, FloatArray
 
-MOST_LAGS = 4
-
 
 @dataclass(frozen=True)
 class Metric:
@@ -112,41 +110,13 @@ class Metric:
 
 
 def raw_metric(outputs: Sequence[FloatArray]) -> Metric:
-    """Return the raw metric, each output in units of its own swing.
-
-    Parameters
-    ----------
-    outputs : sequence of ndarray of shape (n, n_y)
-        Measured outputs of the runs.
-    """
+    """Return the raw metric, each output in units of its own swing."""
     swing = np.nanstd(np.concatenate(list(outputs)), axis=0)
     return Metric(tuple(float(s) for s in swing), (np.zeros(0),) * swing.size)
 
 
 def metric_of(errors: Sequence[FloatArray]) -> Metric:
-    """Return the metric in which the errors of a model are white: one autoregression an output.
-
-    Parameters
-    ----------
-    errors : sequence of ndarray of shape (n, n_y)
-        Of the runs.
-    """
-    ar, strides = [], []
-    for j in range(errors[0].shape[1]):
-        stride, pieces = _pieces([e[:, j] for e in errors])
-        ar.append(autoregression(pieces, MOST_LAGS))
-        strides.append(stride)
-    return Metric((1.0,) * len(ar), tuple(ar), tuple(strides)).with_size_of(errors)
-
-
-def _pieces(errors: Sequence[FloatArray]) -> tuple[int, list[FloatArray]]:
-    """Return the usual rows from reading to reading, and the pieces without a longer gap."""
-    rows = [np.flatnonzero(~np.isnan(e)) for e in errors]
-    steps, counts = np.unique(np.concatenate([np.diff(r) for r in rows]), return_counts=True)
-    stride = int(steps[np.argmax(counts)]) if steps.size else 1
-    pieces = [
-        e[piece]
-        for e, r in zip(errors, rows, strict=True)
-        for piece in np.split(r, np.flatnonzero(np.diff(r) != stride) + 1)
-    ]
-    return stride, pieces
+    """Return the metric in which the errors of a model are white: one autoregression an output."""
+    outputs = range(errors[0].shape[1])
+    strides, ar = zip(*(autoregression([e[:, j] for e in errors]) for j in outputs), strict=True)
+    return Metric((1.0,) * len(ar), ar, strides).with_size_of(errors)

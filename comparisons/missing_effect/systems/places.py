@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -208,14 +208,22 @@ class Placed:
         """Name of the effect."""
         return self.effect.name
 
-    def where(self, model: Model) -> dict[str, str]:
-        """Return its place in words: equation, signal, channel.
+    @property
+    def unnamed(self) -> bool:
+        """Whether it is a term without a name."""
+        return self.effect.unnamed
 
-        Parameters
-        ----------
-        model : Model
-            The model that it sits in.
-        """
+    @property
+    def brings(self) -> int:
+        """How many numbers and states it adds."""
+        return sum(not held for held in self.held) + self.effect.own_state
+
+    def is_plain_form_of(self, other: Placed) -> bool:
+        """Tell whether another is this one with something more, at the same place."""
+        return self.place == other.place and other.name in self.effect.simple_form_of
+
+    def where(self, model: Model) -> dict[str, str]:
+        """Return its place in words: equation, signal, channel."""
         signals = signal_names(model)
         at, kind = self.place.at, self.effect.kind
         names: dict[str, str] = {}
@@ -239,13 +247,7 @@ class Placed:
         return names
 
     def label(self, model: Model) -> str:
-        """Return name and place in one line, for tables: factors are joined by ``·``.
-
-        Parameters
-        ----------
-        model : Model
-            The model that it sits in.
-        """
+        """Return name and place in one line, for tables: factors are joined by ``·``."""
         names = self.where(model)
         factors = [names[k] for k in ("signal", "times") if k in names]
         if factors and self.effect.unnamed and self.effect.kind == Kind.TERM:
@@ -264,13 +266,7 @@ class Placed:
         return f"{self.name}{joined}{into}"
 
     def equation(self, model: Model) -> str:
-        """Return what it adds, with the signals of its place and what they count from.
-
-        Parameters
-        ----------
-        model : Model
-            The model that it sits in.
-        """
+        """Return what it adds, with the signals of its place and what they count from."""
         names = self.where(model)
         signal, other = (
             f"({name} {'−' if centre > 0.0 else '+'} {abs(centre):.4g})" if centre else name
@@ -284,13 +280,7 @@ class Placed:
         return written.replace("{p}", names.get("parameter", ""))
 
     def words(self, model: Model) -> Neutral:
-        """Return what it is called, what happens and what would confirm it, as its units ask for.
-
-        Parameters
-        ----------
-        model : Model
-            The model that it sits in.
-        """
+        """Return what it is called, what happens and what would confirm it, as units ask for."""
         effect, place = self.effect, self.place
         if effect.neutral is not None:
             units = [*model.states.values(), *model.inputs.values()]
@@ -298,6 +288,11 @@ class Placed:
             if not all(is_mechanical(unit) for unit in acting):
                 return effect.neutral
         return Neutral(effect.name.replace("_", " "), effect.says, effect.confirm)
+
+
+def label_of(added: Sequence[Placed], model: Model) -> str:
+    """Return names and places of one effect or two in one line."""
+    return " + ".join(placed.label(model) for placed in added)
 
 
 def rms(values: FloatArray) -> float:

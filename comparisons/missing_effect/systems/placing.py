@@ -32,15 +32,6 @@ def placed_effects(
 ) -> tuple[list[Placed], dict[str, str]]:
     """Return all effects at all their places, scaled by the model's runs.
 
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    runs : sequence of Run
-        What it was fitted to.
-    effects : sequence of SystemEffect
-        The catalogue.
-
     Returns
     -------
     placed : list of Placed

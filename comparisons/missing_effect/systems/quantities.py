@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.covariance import largest_correlation, sandwich
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
@@ -16,13 +17,10 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import answers
-from comparisons.missing_effect.systems.structure import Run
+from comparisons.missing_effect.systems.structure import Run, Structure
 from comparisons.missing_effect.systems.units import product_of_units
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
-# Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
-# number in such directions from which on it is not reported.
-LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
 POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE: 1, Term.GAP: 1}
@@ -32,15 +30,6 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     """Return the covariance of θ, zero for what is not fitted: a sandwich over blocks of rows.
 
     Behind θ stand the parameters that each record has of its own, record by record.
-
-    Parameters
-    ----------
-    fit : Fit
-        Fitted to the runs.
-    runs : sequence of Run
-        All training runs.
-    metric : Metric
-        Raw; sizes are taken from the errors.
     """
     # Offsets are held in the raw fit, but they are not known exactly.
     which = replace(fit.structure, offsets_free=True).free
@@ -65,28 +54,22 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
             score[at] = part.T @ error[rows].ravel()
             scores.append(score)
         normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
-    bread = np.array(scores)
-    spread = bread.T @ bread * len(scores) / max(len(scores) - 1, 1)
+    spread, blind = sandwich(normal, np.array(scores))
+    spread[blind, blind] = np.inf
     model = fit.structure.model
     of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
     kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
     at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
     whole = np.zeros((at.size + fit.theta.size - m,) * 2)
-    whole[np.ix_(at, at)] = _sandwich(normal, spread)[np.ix_(kept, kept)]
+    whole[np.ix_(at, at)] = spread[np.ix_(kept, kept)]
     return whole
 
 
-def _sandwich(normal: FloatArray, spread: FloatArray) -> FloatArray:
-    """Return the sandwich; infinite variances where the rows do not tell a number at all."""
-    unit = np.sqrt(np.diag(normal))
-    unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(normal * np.outer(unit, unit))
-    known = values > LEAST_INFORMATION * values[-1]
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(unit, unit)
-    out = np.asarray(inverse @ spread @ inverse)
-    blind = np.flatnonzero(np.sum(vectors[:, ~known] ** 2, axis=1) > BLIND_SHARE)
-    out[blind, blind] = np.inf
-    return out
+def slots_of(structure: Structure, placed: Placed) -> IntArray:
+    """Return where in θ the numbers of an effect are."""
+    first = len(structure.model.params) + len(structure.model.inputs)
+    index = [e.key for e in structure.effects].index(placed.key)
+    return first + SLOTS * index + np.arange(SLOTS)
 
 
 def numbers_of(
@@ -105,10 +88,8 @@ def numbers_of(
     clock : ndarray of shape (4,)
         Of a run: sample period, and middle and half length of the records' span.
     """
-    structure = fit.structure
-    model = structure.model
-    index = [e.key for e in structure.effects].index(placed.key)
-    at = len(model.params) + len(model.inputs) + SLOTS * index
+    model = fit.structure.model
+    at = int(slots_of(fit.structure, placed)[0])
     out: list[tuple[str, float, float, str]] = []
     for slot, number in enumerate(placed.effect.numbers):
         if placed.held[slot] and not number.held:
@@ -127,27 +108,9 @@ def numbers_of(
 
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
-    """Return the largest correlation of two numbers of one effect; 0 where it has no two.
-
-    Parameters
-    ----------
-    fit : Fit
-        With the effect.
-    placed : Placed
-        The effect.
-    cov : ndarray
-        Covariance of θ.
-    """
-    model = fit.structure.model
-    index = [e.key for e in fit.structure.effects].index(placed.key)
-    first = len(model.params) + len(model.inputs) + SLOTS * index
-    at = first + np.flatnonzero([not held for held in placed.held])
-    size = np.diag(cov)[at]
-    at, size = at[(size > 0.0) & np.isfinite(size)], size[(size > 0.0) & np.isfinite(size)]
-    if at.size < 2:
-        return 0.0
-    apart = np.triu(cov[np.ix_(at, at)] / np.sqrt(np.outer(size, size)), 1).ravel()
-    return float(apart[np.argmax(np.abs(apart))])
+    """Return the largest correlation of two numbers of one effect; 0 where it has no two."""
+    at = slots_of(fit.structure, placed)[np.flatnonzero([not held for held in placed.held])]
+    return largest_correlation(cov[np.ix_(at, at)])
 
 
 def _balanced(

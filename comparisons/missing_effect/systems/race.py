@@ -82,17 +82,19 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
         if p not in ahead
         and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
     ]
+    starts = {p: begun[p].starts if lane is bench else bench.fit.starts for p in ahead}
     return {
         p: fit_runs(
             begun[p].structure,
             bench.train,
             bench.raw,
             begun[p].theta,
-            begun[p].starts if lane is bench else bench.fit.starts,
+            starts[p],
             begun[p].scale,
             most=MOST_ITERATIONS,
         )
-        for p in ahead
+        for p in probes
+        if p in ahead
     }
 
 
@@ -142,16 +144,16 @@ def _slots(structure: Structure, probe: Probe) -> FloatArray:
     return structure.slots((0.0, *probe.start[1:]) if linear else probe.start)
 
 
-def favoured_metric(bench: Bench, raw_fits: dict[Probe, Fit]) -> Metric:
+def favoured_metric(bench: Bench, fits: Sequence[Fit]) -> Metric:
     """Return the metric of the errors of the candidate that held-out rows favour.
 
     By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
     """
-    good = [bench.fit, *[fit for fit in raw_fits.values() if not fit.failed]]
 
     def held_out(fit: Fit) -> float:
         own = metric_of(fit.errors)
         later = settled(fit, bench.later, own)
         return -np.inf if later.failed else own.log_likelihood(later.errors)
 
+    good = [bench.fit, *(fit for fit in fits if not fit.failed)]
     return metric_of(max(good, key=held_out).errors)

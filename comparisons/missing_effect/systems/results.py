@@ -18,11 +18,12 @@ from comparisons.missing_effect.results import (
     MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.systems.candidates import Candidate, Round
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import label_of
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.roles import measured_as
+from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
 from surge_core.rounding import bracketed
@@ -58,7 +59,7 @@ class SystemDiagnosis(Diagnosis):
 
     model: Model
     records: Records
-    rounds: tuple[Round, ...]
+    rounds: tuple[ModelRound, ...]
     before: Fit
     after: Fit
     offsets: tuple[FittedParameter, ...]
@@ -147,33 +148,33 @@ class SystemDiagnosis(Diagnosis):
             for candidate in step.candidates
         )
 
-    def _row(self, number: int, step: Round, c: Candidate) -> CandidateRow:
-        e = c.evidence
+    def _row(self, number: int, step: ModelRound, c: ModelCandidate) -> CandidateRow:
+        e, first = c.evidence, c.added[0]
         beside = len(step.aliases) > 1
         return CandidateRow(
             number,
-            c.placed.name,
-            c.label(self.model),
-            c.placed.where(self.model),
+            first.name,
+            label_of(c.added, self.model),
+            first.where(self.model),
             "pair" if len(c.added) > 1 else "unnamed_term" if c.unnamed else "name",
             self._fate(step, c),
             bool(c.accepted),
             beside and any(c is other for other in step.aliases),
-            score=math.nan if e is None else float(e.score),
-            train_gain=math.nan if e is None else float(e.train),
-            later_gain=math.nan if e is None else float(e.later),
-            held_out_z=math.nan if e is None else float(e.z),
-            p_value=math.nan if e is None else float(e.p_value),
-            promised=float(c.probe.gain),
+            score=float(e.score),
+            train_gain=float(e.train),
+            later_gain=float(e.later),
+            held_out_z=float(e.z),
+            p_value=float(e.p_value),
+            promised=float(c.promised),
         )
 
-    def _fate(self, step: Round, c: Candidate) -> str:
+    def _fate(self, step: ModelRound, c: ModelCandidate) -> str:
         if c is step.winner:
             added = {effect.key for effect in self.after.structure.effects}
-            return "added" if c.placed.key in added else "too little"
+            return "added" if c.added[0].key in added else "too little"
         if any(c is other for other in step.aliases):
             return "alias"
-        if c.evidence is None:
+        if not c.fitted:
             return "not fitted"
         return "accepted" if c.accepted else "refused"
 

@@ -24,17 +24,6 @@ def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.
 
     The rival is simulated with its own innovations drawn again, both are fitted to it, and the
     advantage is compared with the one on the record (Cox 1962).
-
-    Parameters
-    ----------
-    name, rival : Fit
-        To the same runs in the same metric.
-    lane : Bench
-        The rows on which candidates race.
-    metric : Metric
-        Colour of the errors.
-    rng : Generator
-        Of the draws.
     """
     from scipy.stats import norm
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import Placed
@@ -24,6 +25,8 @@ from surge_core.types import FloatArray
 LAID_TOGETHER = 16
 # A column that keeps less than this share of itself beside what is fitted already says nothing.
 LEAST_OWN_SHARE = 1e-6
+# Directions of what is fitted already that are no rounding.
+LEAST_BASIS = 1e-9
 # Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
 # fewest blocks of a run.
 FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 1000, 0.99, 20, 12
@@ -106,13 +109,6 @@ class Answers:
 
         Effects that hide each other lose one at a time: a pair is found from one matrix of
         products of all columns.
-
-        Parameters
-        ----------
-        most : int
-            At most so many.
-        least : float
-            Log-units by which a pair must beat its better half.
         """
         index = {id(p): k for k, p in enumerate(self.probes)}
         pool = [index[id(p)] for p in self.best()[:MOST_PAIRED]]
@@ -153,24 +149,11 @@ class Answers:
 
         Flips leave each block its size and its colour; what is not tied to the inputs wins as much
         with them as without. A constant would be too low where errors are large in a few places.
-
-        Parameters
-        ----------
-        rng : Generator
-            Of the flips.
-        share : float
-            Quantile of the largest gain.
         """
         return float(np.quantile(self.flipped(rng), share)) if self.probes else 0.0
 
     def flipped(self, rng: np.random.Generator) -> FloatArray:
-        """Return the largest first-order gain under each of many flips of sign.
-
-        Parameters
-        ----------
-        rng : Generator
-            Of the flips.
-        """
+        """Return the largest first-order gain under each of many flips of sign."""
         n_blocks = int(self.block.max()) + 1
         sums = np.zeros((n_blocks, len(self.probes)))
         np.add.at(sums, self.block, self.columns * self.error[:, None])
@@ -205,15 +188,7 @@ class Prober:
             self._steps.append(transitions(structure, run, fit.theta, path, fit.scale))
 
     def columns(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
-        """Return how the outputs would answer, one array of shape (n, n_y) a run.
-
-        Parameters
-        ----------
-        placed : Placed
-            The effect at its place.
-        start : tuple of float
-            Its numbers; an amplitude is replaced by a small one.
-        """
+        """Return how the outputs would answer, one array of shape (n, n_y) a run."""
         self._lay([(placed, start)])
         return self._made[placed.key, start]
 
@@ -231,15 +206,7 @@ class Prober:
                 self._made[placed.key, start] = [columns[:, :, c] for columns in each]
 
     def laid(self, effects: Sequence[Placed], metric: Metric) -> Answers:
-        """Return the first-order answers to effects in a metric.
-
-        Parameters
-        ----------
-        effects : sequence of Placed
-            The effects at their places.
-        metric : Metric
-            Colour of the errors.
-        """
+        """Return the first-order answers to effects in a metric."""
         own = metric.with_size_of(self.fit.errors)
         error = _joined([own.whitened(e) for e in self.fit.errors])
         basis = self._basis(own)
@@ -288,11 +255,7 @@ class Prober:
             row[:, :m] = white[:, :m]
             row[:, m + n_x * r : m + n_x * (r + 1)] = white[:, m:]
             blocks.append(row)
-        joined = np.concatenate(blocks)
-        size = np.linalg.norm(joined, axis=0)
-        kept = joined[:, size > 0.0] / size[size > 0.0]
-        left, values, _ = np.linalg.svd(kept, full_matrices=False)
-        return np.asarray(left[:, values > 1e-9 * values[0]])
+        return orthonormal(np.concatenate(blocks), LEAST_BASIS, 0.0)
 
 
 def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:

@@ -111,17 +111,7 @@ def _black_box(structure: Structure, run: Run, theta: FloatArray, start: FloatAr
 
 
 def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
-    """Return the state at the start, with the states of effects in balance.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        A run.
-    x0 : ndarray of shape (n_x,) or longer
-        State of the model.
-    """
+    """Return the state at the start, with the states of effects in balance."""
     n_x = len(structure.model.states)
     out = [x0[:n_x]]
     if structure.model.simulate is not None:

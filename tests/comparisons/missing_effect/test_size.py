@@ -9,13 +9,13 @@ import pytest
 from effect_data import CUBIC, hidden, series_of
 
 from comparisons.missing_effect import find_effect
-from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.results import SIZE, Diagnosis, Gap
-from comparisons.missing_effect.search import Leftover
+from comparisons.missing_effect.results import SIZE, Diagnosis
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     fitted_parameters,
@@ -65,17 +65,19 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
 
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
+    rows = bench.data.scored()
+    left = base.base_errors, bench.base_errors
     return concluded(
-        "named",
         base,
         bench,
-        sets={effect.name: ()},
-        provisional=False,
+        [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))],
+        {effect.name: ()},
+        otherwise="nothing_missing",
+        doubts=(),
         noise=bench.noise(bench.fit),
-        leftover=Leftover(0.0, 0, 1.0),
-        rounds=(),
-        unavailable={},
-        gap=Gap(2e-3, 1.1e-3, 1e-3),
+        left=left,
+        held=rows,
+        floor_rms=1e-3,
     )
 
 

@@ -1,0 +1,285 @@
+"""A user's model and its records as the search works on them: places, race, metric, rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
+from comparisons.missing_effect.evidence import Rows, Tie
+from comparisons.missing_effect.lag_data import LATER, TRAIN
+from comparisons.missing_effect.systems.bench import BETTER_BETWEEN, Bench, growth_of, whitened_fit
+from comparisons.missing_effect.systems.dynamics import SLOTS
+from comparisons.missing_effect.systems.fit import Fit, settled
+from comparisons.missing_effect.systems.metric import Metric, metric_of
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.placing import placed_effects
+from comparisons.missing_effect.systems.quantities import slots_of
+from comparisons.missing_effect.systems.race import FLIP_SEED, favoured_metric, promising, raced
+from comparisons.missing_effect.systems.rivals import rejected
+from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.shapes import Kind
+from surge_core.types import FloatArray
+
+BLOCKS = 60
+LEAST_BLOCK_ROWS = 20
+# What is won in plain errors alone must be this share of the squared error, on rows fitted and
+# held out, and of the latter this share of the former.
+LEAST_SLOW_SHARE, HELD_OUT_SHARE = 0.25, 0.5
+# By how many powers of e small changes of the state may grow beyond the model without a term.
+MOST_GROWTH = 3.0
+# Whitened error of a run that ran away.
+RAN_AWAY = 1e3
+# Effects that are nothing at the lower bound of their first number.
+VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
+ModelCandidate = Candidate[Placed, Fit]
+ModelRound = Round[Placed, Fit]
+
+# A user's model: model error, and not noise, may rule the errors; a fit costs a second.
+MODELS = Policy(
+    term=Tie(12.0, 0.02, 2.33, 0.7),
+    same_share=0.9,
+    same_cosine=0.98,
+    one_sided=0.1,
+    plain_speaks=True,
+    terms_stand=True,
+    rival_share=0.8,
+    further_share=0.05,
+    further_raw=0.25,
+)
+# Log-units by which an alias in the place of what was found may cost more than that.
+LEAST_LOST = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSystem(System[Placed, Fit]):
+    """A user's model.
+
+    Parameters
+    ----------
+    bench : Bench
+        The model that stands so far, and the records.
+    metric : Metric, optional
+        Of the round; that of the model's own errors without it.
+    n_places : int
+        Places that are searched.
+    chances : (float, float)
+        Log-units that the best of them wins by chance, in the metric and in plain errors.
+    """
+
+    bench: Bench
+    metric: Metric | None = None
+    n_places: int = 1
+    chances: tuple[float, float] = (0.0, 0.0)
+    policy: Policy = MODELS
+
+    @property
+    def fit(self) -> Fit:
+        """The model, in the raw metric."""
+        return self.bench.fit
+
+    @property
+    def failed(self) -> bool:
+        """Whether the model could not be simulated."""
+        return self.bench.fit.failed
+
+    @property
+    def colour(self) -> Metric:
+        """The metric."""
+        return metric_of(self.fit.errors) if self.metric is None else self.metric
+
+    @cached_property
+    def base(self) -> Fit:
+        """The model, fitted in the metric."""
+        return whitened_fit(self.bench, self.fit, self.colour)
+
+    @cached_property
+    def base_errors(self) -> FloatArray:
+        """Its whitened errors: all outputs, fitted rows and then those held out."""
+        return _errors(self.bench, self.colour, self.base)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Which rows are fitted and held out, and their blocks."""
+        return _rows(self.bench, self.colour)
+
+    @cached_property
+    def growth(self) -> float:
+        """By how many powers of e small changes of the state grow."""
+        return growth_of(self.fit, self.bench)
+
+    def tried(
+        self, effects: Sequence[SystemEffect], library: Sequence[SystemEffect]
+    ) -> Tried[Placed, Fit]:
+        """Race what is promising, and fit in the metric of whom the held-out rows favour."""
+        bench, fit = self.bench, self.fit
+        placed, refused = placed_effects(fit, bench.train, [*effects, *library])
+        prober = Prober(fit, bench.train)
+        raw, white = prober.laid(placed, bench.raw), prober.laid(placed, metric_of(fit.errors))
+        fits = raced(bench, promising(raw, white))
+        metric, rng = favoured_metric(bench, list(fits.values())), np.random.default_rng(FLIP_SEED)
+        chances = prober.laid(placed, metric).chance(rng), raw.chance(rng)
+        tried = [
+            Candidate(p.added, whitened_fit(bench, first, metric), promised=p.gain, onward=first)
+            for p, first in fits.items()
+        ]
+        keys = {candidate.keys for candidate in tried}
+        others = [
+            Candidate(p.added, fit, promised=p.gain) for p in white.best() if p.key not in keys
+        ]
+        return Tried(ModelSystem(bench, metric, len(placed), chances), tried, others, refused)
+
+    def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
+        """Return whitened errors of all outputs; no phase is fitted anywhere."""
+        return _errors(self.bench, self.colour, fit), (0.0, 0.0)
+
+    def searched(self, added: Sequence[Placed]) -> float:
+        """Return how many places were tried."""
+        return float(self.n_places)
+
+    def weighed(self, candidate: ModelCandidate) -> ModelCandidate:
+        """Return a candidate with its evidence; one that could not be simulated has none."""
+        return candidate if candidate.fit.failed else super().weighed(candidate)
+
+    def judged(self, candidate: ModelCandidate) -> ModelCandidate:
+        """Say of a candidate whether it vanished or grows, and what it wins in plain errors."""
+        raw = candidate.onward
+        wild = raw is not None and growth_of(raw, self.bench) > self.growth + MOST_GROWTH
+        ended = wild or any(_vanished(candidate, i) for i in range(len(candidate.added)))
+        evidence = replace(candidate.evidence, chance=self.chances[0], at_end=ended)
+        return replace(
+            candidate, evidence=evidence, slow=self._slow(raw), outgrown=_outgrown(candidate)
+        )
+
+    def with_winner(self, step: ModelRound) -> ModelSystem:
+        """Return the model with what a round found, its inputs laid between samples again."""
+        assert step.winner is not None
+        moved = self.bench.with_winner(step.winner.fit, step.winner.onward)
+        return ModelSystem(moved.between_chosen())
+
+    def without_needless(self, one: Placed) -> ModelSystem | None:
+        """Return the model without an effect that those found later made needless.
+
+        One that stood in for what came after wins less than its numbers cost, and its absence
+        makes the plain held-out error no larger.
+        """
+        bench, structure, own = self.bench, self.fit.structure, metric_of(self.fit.errors)
+        moved = bench.refitted(
+            structure.without(one), np.delete(bench.fit.theta, slots_of(self.fit.structure, one))
+        )
+        moved = replace(moved, white=None)
+        lost = whitened_fit(moved, moved.fit, own).cost - self._own_cost
+        n = sum(np.count_nonzero(np.isfinite(errors)) for errors in bench.fit.errors)
+        same = moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN
+        needless = same and lost < 0.5 * one.brings * np.log(n)
+        return ModelSystem(moved) if needless else None
+
+    def stand_ins(
+        self, one: Placed, step: ModelRound | None, effects: Sequence[SystemEffect]
+    ) -> tuple[ModelCandidate, ...]:
+        """Return those of a round's alias set that stand beside all that was found later."""
+        found = [placed.key for placed in self.found]
+        if step is None or step.winner is None or step.winner.added[0].key != one.key:
+            return ()
+        kept = [step.winner]
+        for c in step.aliases[1:]:
+            if len(c.added) > 1 or c.added[0].key in found:
+                continue
+            effects_then = [c.added[0] if e.key == one.key else e for e in self.found]
+            structure = replace(self.fit.structure, effects=tuple(effects_then))
+            theta = self.fit.theta.copy()
+            theta[slots_of(self.fit.structure, one)] = c.fit.theta[-SLOTS:]
+            swapped = self.bench.refitted(structure, theta)
+            bare, own = replace(self.bench, white=None), metric_of(self.fit.errors)
+            if whitened_fit(bare, swapped.fit, own).cost < self._own_cost + LEAST_LOST:
+                kept.append(c)
+        return tuple(kept)
+
+    def rejected(self, winner: ModelCandidate, rival: ModelCandidate) -> float:
+        """Return the chance of a winner's advantage if its rival were the truth (Cox)."""
+        rng = np.random.default_rng(FLIP_SEED)
+        return rejected(winner.fit, rival.fit, self.bench.raced(), self.colour, rng)
+
+    def held_out_size(self) -> float:
+        """Return the plain error on held-out rows."""
+        return self.bench.held_out_size()
+
+    @cached_property
+    def _own_cost(self) -> float:
+        """Cost of the model in the metric of its own errors, from its raw fit."""
+        bare = replace(self.bench, white=None)
+        return whitened_fit(bare, self.fit, metric_of(self.fit.errors)).cost
+
+    @cached_property
+    def _plain(self) -> tuple[Metric, Rows, FloatArray]:
+        """The raw metric with the size of the model's errors, its rows, and those errors."""
+        plain = self.bench.raw.with_size_of(self.fit.errors)
+        return plain, _rows(self.bench, plain), _errors(self.bench, plain, self.fit)
+
+    def _slow(self, raw: Fit | None) -> float:
+        """Return the log-units that a candidate wins in plain errors; 0 where chance does.
+
+        Slow errors weigh next to nothing once they are whitened, and yet they are what a
+        simulation is judged by.
+        """
+        if raw is None or raw.failed:
+            return 0.0
+        plain, rows, before = self._plain
+        gain = 0.5 * (before**2 - _errors(self.bench, plain, raw) ** 2)
+        shares = []
+        for part in (TRAIN, LATER):
+            here = rows.of_part(part)
+            base = 0.5 * float(np.sum(before[here] ** 2))
+            shares.append(float(gain[here].sum()) / base)
+        won = float(gain[rows.valid].sum())
+        fair = min(shares) > LEAST_SLOW_SHARE and shares[1] > HELD_OUT_SHARE * shares[0]
+        return won if fair and won > self.chances[1] else 0.0
+
+
+def _vanished(candidate: ModelCandidate, which: int) -> bool:
+    """Tell whether a first number ended at the bound where it is no effect any more.
+
+    A lag or a delay of one sample is the timing offset that every model has.
+    """
+    effect = candidate.added[which].effect
+    if not effect.numbers:
+        return False
+    value = float(candidate.fit.theta[SLOTS * (which - len(candidate.added))])
+    if effect.linear:
+        return value == 0.0
+    return effect.kind in VANISHING and value <= effect.numbers[0].low * (1.0 + 1e-6)
+
+
+def _outgrown(candidate: ModelCandidate) -> bool:
+    """Tell whether a shape ended at its upper bound: what is there is something wider."""
+    effect = candidate.added[0].effect
+    if not effect.simple_form_of or len(candidate.added) > 1:
+        return False
+    shapes = candidate.fit.theta[-SLOTS:][1 : len(effect.numbers)]
+    bounds = [number.high for number in effect.numbers[1:]]
+    return any(value >= high * (1.0 - 1e-6) for value, high in zip(shapes, bounds, strict=True))
+
+
+def _errors(bench: Bench, metric: Metric, fit: Fit) -> FloatArray:
+    """Return whitened errors of all outputs, fitted rows and then those held out."""
+    later = settled(fit, bench.later, metric)
+    runs = (*fit.errors, *later.errors)
+    with np.errstate(invalid="ignore"):
+        white = np.concatenate([metric.whitened(e) for e in runs])
+    # A run that could not be simulated loses everywhere.
+    return np.asarray(np.where(np.isfinite(white), white, RAN_AWAY).T.ravel(), dtype=np.float64)
+
+
+def _rows(bench: Bench, metric: Metric) -> Rows:
+    part, valid = [], []
+    for value, runs in ((TRAIN, bench.train), (LATER, bench.later)):
+        for run in runs:
+            part.append(np.full(run.n_samples, value, dtype=np.int8))
+            valid.append(metric.scored(run.outputs))
+    n_y = len(metric.sigma)
+    total = sum(p.size for p in part)
+    block = max(LEAST_BLOCK_ROWS, total // BLOCKS)
+    return Rows.of(np.tile(np.concatenate(part), n_y), np.concatenate(valid).T.ravel(), block)
