@@ -76,7 +76,7 @@ class ReductionSettings:
 
     @property
     def low_pass(self) -> dict[str, Any]:
-        """The filter, as :func:`classic_ml.filters.low_pass` takes it."""
+        """The filter, as ``classic_ml.filters.low_pass`` takes it."""
         return {"order": self.filter_order, "cutoff_hz": self.cutoff_hz, "phase": self.phase}
 
     def __post_init__(self) -> None:

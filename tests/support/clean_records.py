@@ -20,8 +20,6 @@ from classic_ml.records import Channel, Record
 from comparisons.rig import CASES
 from surge_core.types import FloatArray
 
-__all__ = ["CLEAN", "INDEPENDENT", "SURGES", "clean_record", "rows_of", "with_channels"]
-
 INDEPENDENT = "independent"
 # Case and seed; seed and noise in counts.
 _RIGS = (*(f"{case}/1" for case in CASES), "985/2", "90/3", "blowdown/2")

@@ -6,8 +6,6 @@ import pytest
 
 from comparisons.cli import main
 
-__all__ = ["refused", "run"]
-
 
 def run(*arguments: object) -> int:
     """Run a command; return its exit code."""

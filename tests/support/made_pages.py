@@ -16,8 +16,6 @@ from comparisons.page.blocks import Part, Words
 from comparisons.results import Caution, Truth
 from comparisons.show.report import ReportSection, render_report
 
-__all__ = ["EVIL", "PAGES", "made_page"]
-
 # Each would run, style or load something in a page that does not escape it.
 EVIL = (
     "<script>document.title='run'</script>\"'><img src=x onerror=\"document.title='run'\">"

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["REDUCE", "Mistake", "Spoil"]
-
 Spoil = Callable[[Path], None]
 
 REDUCE = "reduce raw.csv --test test.toml -o reduced.csv"

@@ -9,8 +9,6 @@ from pathlib import Path
 from mistake import Mistake
 from mistake_desk import Answer, ledger_of, rms_errors
 
-__all__ = ["LONGEST", "check", "check_printable", "check_sentence"]
-
 # Categories of Unicode: controls, direction marks, halves of characters, ends of lines.
 STEERING = ("Cc", "Cf", "Cs", "Zl", "Zp")
 # Files are named relative to the folder here; a sentence that lists several faults is longer.

@@ -24,8 +24,6 @@ from comparisons.results import FittedLag
 from comparisons.total_system import facility_toml
 from comparisons.total_system.facility import facility_of_case
 
-__all__ = ["Answer", "clean_files", "clean_test", "hand_in", "ledger_of", "rms_errors", "run_in"]
-
 FITTED = FittedLag(
     "classic_ml",
     "psi_p",

@@ -29,8 +29,6 @@ from spoiling import (
 )
 from stored_records import write_stored
 
-__all__ = ["MISTAKES"]
-
 Outcome = Literal["refused", "flagged", "harmless"]
 PROBE = "P31_B_hub_aft"
 PAIRS_25 = tuple(

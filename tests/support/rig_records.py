@@ -13,8 +13,6 @@ from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.rig import RigRun, simulate, write_run
 
-__all__ = ["rig_record", "rig_run", "rig_series", "through_files"]
-
 
 @cache
 def rig_run(case: str, seed: int = 0, **options: Any) -> RigRun:

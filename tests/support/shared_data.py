@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["INDEPENDENT", "MEASURED", "SHARED", "needs_independent", "needs_measured"]
-
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 INDEPENDENT, MEASURED = SHARED / "independent_rig_985", SHARED / "measured"
 needs_independent = pytest.mark.skipif(

@@ -12,23 +12,6 @@ import pandas as pd
 from mistake import Spoil
 from raw_data import to_toml
 
-__all__ = [
-    "as_bytes",
-    "as_lines",
-    "as_text",
-    "at_rows",
-    "cell",
-    "channel",
-    "every",
-    "exchanged",
-    "lines",
-    "named",
-    "replaced",
-    "table",
-    "toml",
-    "written",
-]
-
 Values = np.ndarray
 
 

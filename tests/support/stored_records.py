@@ -15,8 +15,6 @@ from nptdms import ChannelObject, TdmsWriter
 from raw_data import write_csv
 from scipy.io import savemat
 
-__all__ = ["FORMS", "write_stored"]
-
 Columns = dict[str, np.ndarray]
 
 
