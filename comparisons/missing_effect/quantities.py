@@ -75,7 +75,7 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     if abs(value) < limit:
         value, stderr, shown = factor * value, factor * stderr, smaller
     if math.isnan(stderr):
-        return f"about {significant(value)} {shown}".rstrip()
+        return f"about {float(f'{value:.2g}'):g} {shown}".rstrip()
     if stderr <= 0.0:
         return f"{significant(value)} {shown}".rstrip() + " (held)"
     return f"{round_to_error(value, stderr)} {shown}".rstrip()
