@@ -17,7 +17,6 @@ import numpy as np
 from classic_ml.characteristics import polynomial_names
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, profile
-from classic_ml.whole_record.interval import RAMP_MACH, Scatter
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -25,6 +24,7 @@ from classic_ml.whole_record_fit import (
     WholeRecordFit,
     fit_whole_record,
 )
+from classic_ml.whole_record_interval import RAMP_MACH, Scatter
 from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
 from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
 from surge_core.display import Field, Sheet
@@ -96,8 +96,9 @@ class WholeRecordRun(WholeRunFit):
         """φ of the scored rows in stall, up to the flow of recovery."""
         found = []
         for fit in self.fits_:
-            phi = fit.passes.phi[fit.fit.scored & fit.in_stall]
-            recovery = math.inf if fit.levels is None else fit.levels.recovery_phi
+            reading = fit.reading
+            phi = reading.passes.phi[fit.fit.scored & reading.in_stall]
+            recovery = math.inf if reading.levels is None else reading.levels.recovery_phi
             found.append(phi[phi <= recovery])
         return np.concatenate(found)
 
@@ -301,7 +302,7 @@ def _result(
     second: Reading | None,
 ) -> WholeRecordRun:
     tau_s, share, covariance = math.exp(answer.log_tau), answer.share, answer.covariance
-    degree = fits[0].spec.degree
+    degree = fits[0].reading.spec.degree
     rows = _rows(records, fits, degree)
     model = output_error(records[0].sample_period_s, "first", tau_s)
     stacked_rows(rows).fitted(model)
@@ -343,9 +344,10 @@ def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 def _curve_at(tau_s: float, fit: WholeRecordFit) -> FloatArray:
     """Return the in-stall coefficients for another time constant."""
-    inputs, psi_p = design(fit.passes, fit.spec, fit.in_stall)
-    coefficients, _ = profile(tau_s, fit.passes, inputs, psi_p, fit.fit.scored)
-    return coefficients[: fit.spec.degree + 1]
+    reading = fit.reading
+    inputs, psi_p = design(reading.passes, reading.spec, reading.in_stall)
+    coefficients, _ = profile(tau_s, reading.passes, inputs, psi_p, fit.fit.scored)
+    return coefficients[: reading.spec.degree + 1]
 
 
 def _mean_curve(
@@ -365,16 +367,17 @@ def _rows(
 ) -> tuple[WholeRunRows, ...]:
     """Return the pieces of all free runs, each record with nuisances of its own."""
     n_terms = degree + 1
-    designs = [design(fit.passes, fit.spec, fit.in_stall) for fit in fits]
+    readings = [fit.reading for fit in fits]
+    designs = [design(each.passes, each.spec, each.in_stall) for each in readings]
     widths = [inputs.shape[1] - n_terms for inputs, _ in designs]
     first = np.concatenate([[0], np.cumsum(widths)])
     rows = []
     for number, (record, fit) in enumerate(zip(records, fits, strict=True)):
-        inputs, psi_p = designs[number]
-        phi = fit.passes.smooth(fit.passes.phi, fit.spec.average_s)
+        (inputs, psi_p), passes = designs[number], fit.reading.passes
+        phi = passes.smooth(passes.phi, fit.reading.spec.average_s)
         nuisance = np.zeros((psi_p.size, first[-1]))
         nuisance[:, first[number] : first[number + 1]] = inputs[:, n_terms:]
-        for piece in fit.passes.pieces:
+        for piece in passes.pieces:
             rows.append(
                 WholeRunRows(
                     phi[piece],
@@ -382,8 +385,8 @@ def _rows(
                     nuisance[piece],
                     psi_p[piece],
                     fit.fit.scored[piece].astype(np.float64),
-                    record.time_s[fit.passes.row[piece]],
-                    int(np.count_nonzero(fit.in_stall[piece])),
+                    record.time_s[passes.row[piece]],
+                    int(np.count_nonzero(fit.reading.in_stall[piece])),
                 )
             )
     return tuple(rows)
