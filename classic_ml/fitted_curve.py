@@ -12,18 +12,10 @@ from surge_core.rounding import bracketed, round_to_error
 
 
 def lag_sheet(fit: Any, state: str, held_s: float | None, *more: Field) -> Sheet:
-    """Return what is shown of a fitted lag.
+    """Return what is shown of a fitted lag: equation, state and τ, then more fields, and the terms.
 
-    Parameters
-    ----------
-    fit : LagRegressor or WholeRunFit
-        With the attributes of a fitted estimator.
-    state : str
-        Its state in words.
-    held_s : float or None
-        The τ that was held.
-    *more : Field
-        What follows equation, state and τ.
+    The fit has the attributes of an estimator; ``state`` is its state in words, ``held_s`` the τ
+    that was held.
     """
     errors = np.sqrt(np.maximum(np.diag(fit.covariance_), 0.0)).tolist()
     named = list(zip(fit.terms_, fit.coef_.tolist(), errors, strict=True))

@@ -72,16 +72,9 @@ class FreeRunEquations:
         return np.repeat(np.arange(self.runs.starts.size), self.runs.lengths)[self.scored]
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fit some terms and τ.
+        """Fit some terms and τ: β with τ last, the derivatives of the fitted values, the residual.
 
-        Returns
-        -------
-        parameters : ndarray of shape (n_support + 1,)
-            β, and last τ in seconds.
-        design : ndarray of shape (n_scored, n_support + 1)
-            Derivatives of the fitted values, nuisances and starts projected out.
-        residual : ndarray of shape (n_scored,)
-            What is left.
+        Nuisances and starts are projected out of the derivatives, (n_scored, n_support + 1).
         """
         found = self.solve(support)
         between = np.s_[len(support) : len(support) + self.nuisance.shape[1]]
@@ -108,11 +101,8 @@ class FreeRunEquations:
     def simulated(self, time_constant_s: float) -> FloatArray:
         """Return what each candidate contributes to the scored rows, for one τ in seconds.
 
-        Returns
-        -------
-        ndarray of shape (n_scored, n_columns)
-            Run through the lag, nuisances and starts projected out; zero where nuisances make up
-            the whole column.
+        Run through the lag, nuisances and starts projected out; zero where nuisances make up the
+        whole column.
         """
         n = self.nuisance.shape[1]
         stacked = self._stacked(time_constant_s, self._all_values)
@@ -139,12 +129,9 @@ class FreeRunEquations:
     def profiled(self, support: Support) -> tuple[float, float, float]:
         """Return the least squared error over a grid of τ, and the last term's coefficient there.
 
-        Returns
-        -------
-        error, coefficient, information : float
-            The error at the vertex of the parabola through the logarithms of the least three, for
-            where it falls by ten from one τ to the next a parabola through them falls below zero;
-            the inverse of the coefficient's variance for errors of variance one.
+        The error is that at the vertex of the parabola through the logarithms of the least three,
+        for where it falls by ten from one τ to the next a parabola through them falls below zero.
+        Last comes the inverse of the coefficient's variance for errors of variance one.
         """
         grid, triangles = self._scan
         n = self.nuisance.shape[1]
@@ -162,14 +149,9 @@ class FreeRunEquations:
         return float(np.exp(error)), float(last @ best[:, -1]) / information, information
 
     def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
-        """Return the scored rows of each cycle, counted among the scored.
+        """Return the scored rows of each cycle, counted among the scored, by its number a row.
 
-        Parameters
-        ----------
-        cycles : ndarray of int of shape (n_rows,)
-            Number of the cycle of each row.
-        time_constant_s : float
-            τ in seconds: no cycle is cut into parts of fewer than two of it.
+        No cycle is cut into parts of fewer than two time constants.
         """
         numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
         within = Segments.from_labels(numbers, self.scored.size)

@@ -207,17 +207,8 @@ def _descend(
 def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     """Fit one branch: powers of φ, and a kink where it earns its place.
 
-    Parameters
-    ----------
-    rows : LagRows
-        The record.
-
-    Returns
-    -------
-    fit : LagFit
-        The fit with the terms of least score.
-    richest : float
-        What the richest single branch (degree 7, and other cubics beyond a kink) leaves of ψ'.
+    Returned are the fit with the terms of least score, and what the richest single branch (degree
+    7, and other cubics beyond a kink) leaves of ψ'.
     """
     smooth = _chebyshev(rows.phi, _RICHEST)
 
@@ -246,17 +237,7 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
 def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
     """Fit two branches: search both levels on a grid, refine them with τ, choose the terms.
 
-    Parameters
-    ----------
-    rows : LagRows
-        The record.
-    tau_s : float
-        First value of τ: one branch forced on two reads some 15 % low.
-
-    Returns
-    -------
-    LagFit
-        The fit with the terms of least score.
+    The first τ may be that of one branch, which forced on two reads some 15 % low.
     """
     columns = _chebyshev(rows.phi, _SEARCHED)
     low, high = np.quantile(rows.phi, (0.02, 0.98))
