@@ -56,6 +56,9 @@ def shown_steps(
 
         def tick() -> None:
             while not stop.wait(REFRESH_S):
+                if left:
+                    # A step that lasts longer than expected is shown as nearly done.
+                    bar.n = min(bar.n + REFRESH_S, 0.99 * sum(expected_s[:number]))
                 bar.refresh()
 
         if not bar.disable:
