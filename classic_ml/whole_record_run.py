@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -166,18 +167,11 @@ def fit_whole_records(
         return _in_stall_alone(records, degree, until_s, why)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
-    windows = [window_of(record, end) for record, end in zip(records, ends, strict=True)]
+    settings: Any = {"interval": whole, "n_twins": n_twins, "progress": progress}
     try:
         fits = tuple(
-            fit_whole_record(
-                each,
-                window,
-                degree=degree,
-                interval=whole,
-                n_twins=n_twins if whole else 0,
-                progress=progress,
-            )
-            for each, window in zip(found, windows, strict=True)
+            fit_whole_record(each, window_of(record, end), degree=degree, **settings)
+            for each, record, end in zip(found, records, ends, strict=True)
         )
     except InputError:
         # No surge cycle that could be scored: the older fit says what there is.
@@ -187,7 +181,7 @@ def fit_whole_records(
     cancelled = not any(each.one_rake for each in found)
     if whole and cancelled and all(map(has_whole_run, records)):
         second = fit_whole_runs(records, degree=degree)
-    return _combined(records, fits, degree, second)
+    return _combined(records, fits, second)
 
 
 def _in_stall_alone(
@@ -201,15 +195,7 @@ def _in_stall_alone(
     known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
     if until_s is not None or fit.fit_state_ is not FitState.CONVERGED:
         return fit
-    if known and withheld is None:
-        return fit
-    return replace(
-        fit,
-        time_constant_s_=math.nan,
-        time_constant_stderr_s_=math.nan,
-        covariance_=np.full_like(fit.covariance_, math.nan),
-        fit_state_=withheld or FitState.UNCERTAIN,
-    )
+    return fit if known and withheld is None else fit.withheld(withheld or FitState.UNCERTAIN)
 
 
 def window_of(record: CoefficientSeries, until_s: float = math.inf) -> slice:
@@ -272,7 +258,6 @@ class _Answer:
 def _combined(
     records: Sequence[CoefficientSeries],
     fits: tuple[WholeRecordFit, ...],
-    degree: int,
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
     log_tau, share = _mean_of([(math.log(fit.tau_s), fit.share) for fit in fits])
@@ -301,7 +286,7 @@ def _result(
     state: FitState,
     second: Reading | None,
 ) -> WholeRecordRun:
-    tau_s, share, covariance = math.exp(answer.log_tau), answer.share, answer.covariance
+    tau_s, share = math.exp(answer.log_tau), answer.share
     degree = fits[0].reading.spec.degree
     rows = _rows(records, fits, degree)
     model = output_error(records[0].sample_period_s, "first", tau_s)
@@ -311,15 +296,12 @@ def _result(
     if second is not None:
         low_s, high_s = min(low_s, second.ci95_s[0]), max(high_s, second.ci95_s[1])
         share = math.log(high_s / low_s) / (2.0 * QUANTILE)
-    if state.withholds:
-        tau_s = share = low_s = high_s = math.nan
-        covariance = np.full_like(covariance, math.nan)
-    return WholeRecordRun(
+    run = WholeRecordRun(
         tau_s,
         tau_s * share,
         polynomial_names("phi", degree),
         answer.coefficients,
-        covariance,
+        answer.covariance,
         degree,
         sum(fit.cycles.n for fit in fits),
         state,
@@ -329,6 +311,8 @@ def _result(
         (low_s, high_s),
         second,
     )
+    nothing = math.nan, math.nan
+    return replace(run.withheld(state), ci95_s_=nothing) if state.withholds else run
 
 
 def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +117,16 @@ class WholeRunFit(Displayed):
     def n_scored_(self) -> int:
         """Rows scored."""
         return int(sum(row.weight.sum() for row in self.rows_))
+
+    def withheld(self, state: FitState) -> Self:
+        """Return the fit without τ and its errors, which a state withholds."""
+        return replace(
+            self,
+            time_constant_s_=math.nan,
+            time_constant_stderr_s_=math.nan,
+            covariance_=np.full_like(self.covariance_, math.nan),
+            fit_state_=state,
+        )
 
     def stacked(self) -> StackedRuns:
         """Return what was fitted, and which rows were scored."""

@@ -231,7 +231,7 @@ def test_rakes_that_disagree_show_the_error_of_calibration(
 
 
 def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
-    return _combined([series], (fit,), 2, None)
+    return _combined([series], (fit,), None)
 
 
 def test_what_is_not_known_is_not_printed(
@@ -259,16 +259,16 @@ def test_a_wide_interval_is_refused_and_a_second_record_helps(
     wide = replace(fit, cycles=replace(fit.cycles, log_tau=0.13))
     second = fit_whole_runs([series])
     unlikely = replace(second, time_constant_stderr_s_=0.5 * second.time_constant_s_)
-    one = _combined([series], (wide,), 2, unlikely)
+    one = _combined([series], (wide,), unlikely)
     assert one.fit_state_ is FitState.UNCERTAIN
-    both = _combined([series, series], (wide, wide), 2, unlikely)
+    both = _combined([series, series], (wide, wide), unlikely)
     assert both.fit_state_ is FitState.CONVERGED
 
 
 def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRun) -> None:
     second = fit_whole_runs([series])
     far = replace(second, time_constant_s_=0.04, time_constant_stderr_s_=0.002)
-    found = _combined([series], fitted.fits_, 2, far)
+    found = _combined([series], fitted.fits_, far)
     assert found.fit_state_ is FitState.TWO_READINGS
     assert found.second_reading_ is not None
     assert found.second_reading_.value_s == 0.04
@@ -334,7 +334,7 @@ def test_gas_that_the_duct_stores_widens_the_interval_of_both_readings(
     second = fit_whole_runs([series])
     wide = replace(fit, planes=replace(fit.planes, log_tau=0.08))
     narrow = replace(fit, planes=replace(fit.planes, log_tau=0.0))
-    one, other = (_combined([series], (each,), 2, second) for each in (wide, narrow))
+    one, other = (_combined([series], (each,), second) for each in (wide, narrow))
     assert one.time_constant_s_ == other.time_constant_s_
     shares = [each.time_constant_stderr_s_ / each.time_constant_s_ for each in (one, other)]
     assert shares[0] == pytest.approx(math.hypot(shares[1], 0.08))
