@@ -133,16 +133,13 @@ class FreeRunEquations:
         for where it falls by ten from one τ to the next a parabola through them falls below zero.
         Last comes the inverse of the coefficient's variance for errors of variance one.
         """
-        grid, triangles = self._scan
-        n = self.nuisance.shape[1]
-        wanted = [*range(n), *(n + i for i in support)]
-        errors = np.array([_cost(each[:, wanted], each[:, -1]) for each in triangles])
-        at = int(np.clip(np.argmin(errors), 1, grid.size - 2))
+        wanted, errors = self._errors(support)
+        at = int(np.clip(np.argmin(errors), 1, errors.size - 2))
         below, error, above = np.log(np.maximum(errors[at - 1 : at + 2], 1e-300))
         bend = below + above - 2.0 * error
         if bend > 0.0 and error <= min(below, above):
             error -= (above - below) ** 2 / (8.0 * bend)
-        best = triangles[int(np.argmin(errors))]
+        best = self._scan[1][int(np.argmin(errors))]
         before = best[:, wanted[:-1]]
         last = _projected(best[:, [wanted[-1]]], before)[:, 0]
         information = max(float(last @ last), 1e-300)
@@ -193,13 +190,15 @@ class FreeRunEquations:
         stacks = [self._stacked(float(tau), self._all_values) for tau in grid]
         return grid, [np.asarray(np.linalg.qr(stack, mode="r")) for stack in stacks]
 
-    def _scanned(self, support: Support) -> tuple[float, float]:
-        """Return the neighbours of the best τ of the grid."""
-        grid, triangles = self._scan
+    def _errors(self, support: Support) -> tuple[list[int], FloatArray]:
+        """Return the columns of nuisances and some terms, and their squared error at each τ."""
         n = self.nuisance.shape[1]
         wanted = [*range(n), *(n + i for i in support)]
-        costs = [_cost(triangle[:, wanted], triangle[:, -1]) for triangle in triangles]
-        best = int(np.argmin(costs))
+        return wanted, np.array([_cost(each[:, wanted], each[:, -1]) for each in self._scan[1]])
+
+    def _scanned(self, support: Support) -> tuple[float, float]:
+        """Return the neighbours of the best τ of the grid."""
+        grid, best = self._scan[0], int(np.argmin(self._errors(support)[1]))
         return float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
 
     def _end(self, values: FloatArray, within: tuple[float, float]) -> float:

@@ -279,12 +279,6 @@ def _apart(ranked: Sequence[tuple[float, ...]], distance: float) -> list[tuple[f
     return found
 
 
-def _twin_rest(
-    design: Callable[[FloatArray, LagRows], FloatArray], twin: LagRows
-) -> Callable[[FloatArray], float]:
-    return lambda at: _rest(design(at, twin), twin.psi_p)
-
-
 def _settled(
     rows: LagRows, tau_s: float, levels: tuple[float, ...], powers: tuple[int, ...], knot: float
 ) -> LagFit:
@@ -323,7 +317,9 @@ def _settled(
     again = []
     for _ in range(_TWINS):
         twin = rows.twin(fitted, rng)
-        found = _descend(_twin_rest(design, twin), at, np.full(at.size, 0.01))
+        found = _descend(
+            lambda v, twin=twin: _rest(design(v, twin), twin.psi_p), at, np.full(at.size, 0.01)
+        )
         again.append(np.append(found, least_squares(design(found, twin), twin.psi_p)))
     moved = 2 * np.append(at, beta) - np.mean(again, axis=0)
     at, beta = moved[: at.size], moved[at.size :]
