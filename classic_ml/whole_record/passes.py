@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Passes:
     sample_period_s: float
     planes: Planes  # The cleaned planes over the whole record
 
-    @property
+    @cached_property
     def pieces(self) -> list[slice]:
         """Rows of each piece."""
         return runs_of(self.piece, self.piece.size)
@@ -59,7 +60,7 @@ class Passes:
         """Return how many samples so many seconds have."""
         return round(seconds / self.sample_period_s)
 
-    @property
+    @cached_property
     def cycle(self) -> IntArray:
         """Number of the surge cycle of each row: from one rise of φ to the next, or a new piece."""
         phi = self.smooth(self.phi, self.period_s)
