@@ -45,11 +45,11 @@ class Whitener:
     """Whitens the equations A e = A v - B D n of one fit (v, n white).
 
     With A e[k] = p[k] e[k] - q[k] e[k-1] (1 and a for a linear lag), and n entering through the
-    taps t_i of the hold and the slope d of ψ'_QS, the covariance of A e has the band σ_ψ²(p[k]² +
-    q[k]²) + σ_φ² Σ t_i² d[k-i]² on the diagonal, -σ_ψ² p[k] q[k+1] + σ_φ² Σ t_i t_i+1 d[k-i]²
-    beside it, and for a fraction of a sample of dead time one more. One banded Cholesky factor
-    whitens a column in O(N). Leaving out the first row of each run is the same as a free initial
-    state.
+    taps t_i of the hold and the slope d of ψ'_QS, the covariance of A e has the band
+    σ_ψ²(p[k]² + q[k]²) + σ_φ² Σ t_i² d[k-i]² on the diagonal, -σ_ψ² p[k] q[k+1] + σ_φ² Σ t_i t_i+1
+    d[k-i]² beside it, and for a fraction of a sample of dead time one more. One banded
+    Cholesky factor whitens a column in O(N). Leaving out the first row of each run is the
+    same as a free initial state.
 
     ``slopes`` (n_inputs, n_rows) are d along the record, ``rows`` those of the record that are
     usable, in runs ``segments``; ``ahead`` and ``behind`` are p and q of each equation, or of all,
@@ -179,8 +179,8 @@ def refine_noise(
 def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> FloatArray:
     """Fit an autoregression to a whitened residual by Burg's method, order by BIC.
 
-    No sum reaches across two runs of rows, `groups`. Returned are the coefficients of w[k] = Σ α_i
-    w[k-i] + white; none when order 0 wins.
+    No sum reaches across two runs of rows, `groups`. Returned are the coefficients of
+    w[k] = Σ α_i w[k-i] + white; none when order 0 wins.
     """
     pieces = [white[rows] for rows in groups.slices() if rows.stop - rows.start > 1]
     if not pieces:

@@ -61,12 +61,15 @@ def shown_steps(
                     bar.n = min(bar.n + REFRESH_S, 0.99 * sum(expected_s[:number]))
                 bar.refresh()
 
+        ticking = threading.Thread(target=tick, daemon=True)
         if not bar.disable:
-            threading.Thread(target=tick, daemon=True).start()
+            ticking.start()
         try:
             yield begin
         finally:
             stop.set()
+            if ticking.is_alive():
+                ticking.join()
 
 
 @contextmanager

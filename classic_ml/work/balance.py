@@ -92,8 +92,8 @@ def delivered_power(
     made of: the second derivative of a noisy flow is most of the noise of ψ. Where nothing
     ``stores`` between the blading and T31, T2 = T31.
 
-    ψ = (2 c_p/U²)(T2 − T25) and c_p (W25 T2 − W31 T31) = V_c/(γ−1) dP̄/dt with P̄ = P25 + κ (P31 +
-    I dW25/dt − P25) and W31 = W25 − κ V_c/(R T̄) dP31/dt, so that
+    ψ = (2 c_p/U²)(T2 − T25) and c_p (W25 T2 − W31 T31) = V_c/(γ−1) dP̄/dt with
+    P̄ = P25 + κ (P31 + I dW25/dt − P25) and W31 = W25 − κ V_c/(R T̄) dP31/dt, so that
 
         W25 (T2 − T31) = V_c/(γR) dP̄/dt − κ V_c/(R T̄) T31 dP31/dt,  T̄ = (T25 + T2)/2.
 
