@@ -17,7 +17,7 @@ import numpy as np
 
 from classic_ml.characteristics import polynomial_names
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.branches import design, profile
+from classic_ml.whole_record.branches import FreeRun, design
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -329,9 +329,8 @@ def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
 def _curve_at(tau_s: float, fit: WholeRecordFit) -> FloatArray:
     """Return the in-stall coefficients for another time constant."""
     reading = fit.reading
-    inputs, psi_p = design(reading.passes, reading.spec, reading.in_stall)
-    coefficients, _ = profile(tau_s, reading.passes, inputs, psi_p, fit.fit.scored)
-    return coefficients[: reading.spec.degree + 1]
+    run = FreeRun.of(reading.passes, reading.spec, reading.in_stall, fit.fit.scored)
+    return run.profile(tau_s)[0][: reading.spec.degree + 1]
 
 
 def _mean_curve(

@@ -143,39 +143,52 @@ def specifications(spec: Specification) -> tuple[Specification, ...]:
     )
 
 
-def profile(
-    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients and errors of the least squares for a held τ, each piece with a start."""
-    own, scale = _scaled(tau_s, passes, inputs, scored)
-    coefficients = np.asarray(np.linalg.lstsq(own, psi_p[scored], rcond=RANK)[0])
-    return coefficients / scale, psi_p[scored] - own @ coefficients
+@dataclass(frozen=True)
+class FreeRun:
+    """A free run, linear in all but τ: the inputs of the lag and ψ', averaged alike."""
 
+    passes: Passes
+    inputs: FloatArray
+    psi_p: FloatArray
+    scored: BoolArray
 
-def least_error(
-    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
-) -> float:
-    """Return the mean square error of :func:`profile`, by the normal equations: five times quicker.
+    @classmethod
+    def of(
+        cls,
+        passes: Passes,
+        spec: Specification,
+        in_stall: BoolArray,
+        scored: BoolArray | None = None,
+    ) -> FreeRun:
+        """Set up a run that is scored on all rows that could be, if no others are given."""
+        scored = scored_rows(passes, spec) if scored is None else scored
+        return cls(passes, *design(passes, spec, in_stall), scored)
 
-    Where the coefficients are not asked for, what a bad condition costs is far below the noise.
-    """
-    own, _ = _scaled(tau_s, passes, inputs, scored)
-    measured = psi_p[scored]
-    values, vectors = np.linalg.eigh(own.T @ own)
-    seen = values > NORMAL_RANK * values[-1]
-    along = vectors[:, seen].T @ (own.T @ measured)
-    explained = float(np.sum(along**2 / values[seen]))
-    return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+    def profile(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return coefficients and errors of the least squares for a τ, each piece with a start."""
+        own, scale = self._scaled(tau_s)
+        measured = self.psi_p[self.scored]
+        coefficients = np.asarray(np.linalg.lstsq(own, measured, rcond=RANK)[0])
+        return coefficients / scale, measured - own @ coefficients
 
+    def least_error(self, tau_s: float) -> float:
+        """Return the mean square error of that, by the normal equations: five times quicker.
 
-def _scaled(
-    tau_s: float, passes: Passes, inputs: FloatArray, scored: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the scored rows of the answers, and what their columns were divided by."""
-    answers = responses(tau_s, passes, inputs)
-    # By all rows: a column may be nothing in those that are scored.
-    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-    return answers[scored] / scale, scale
+        Where the coefficients are not asked for, what a bad condition costs is far below the noise.
+        """
+        own, measured = self._scaled(tau_s)[0], self.psi_p[self.scored]
+        values, vectors = np.linalg.eigh(own.T @ own)
+        seen = values > NORMAL_RANK * values[-1]
+        along = vectors[:, seen].T @ (own.T @ measured)
+        explained = float(np.sum(along**2 / values[seen]))
+        return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+
+    def _scaled(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the scored rows of the answers, and what their columns were divided by."""
+        answers = responses(tau_s, self.passes, self.inputs)
+        # By all rows: a column may be nothing in those that are scored.
+        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+        return answers[self.scored] / scale, scale
 
 
 def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:
@@ -203,20 +216,18 @@ def fit_branches(
     """
     from scipy.optimize import minimize_scalar
 
-    inputs, psi_p = design(passes, spec, in_stall)
-    keep = scored_rows(passes, spec) if scored is None else scored
+    run = FreeRun.of(passes, spec, in_stall, scored)
 
     def cost(log_tau: float) -> float:
-        return least_error(math.exp(log_tau), passes, inputs, psi_p, keep) * int(keep.sum())
+        return run.least_error(math.exp(log_tau)) * int(run.scored.sum())
 
     if near_s is None:
-        costs = [cost(math.log(tau_s)) for tau_s in TAUS_S]
-        best = int(np.argmin(costs))
+        best = int(np.argmin([run.least_error(tau_s) for tau_s in TAUS_S]))
         ends = TAUS_S[max(best - 1, 0)], TAUS_S[min(best + 1, TAUS_S.size - 1)]
     else:
         ends = near_s * math.exp(-AROUND), near_s * math.exp(AROUND)
     low, high = math.log(ends[0]), math.log(ends[1])
     log_tau = float(minimize_scalar(cost, bounds=(low, high), options={"xatol": 2e-4}).x)
-    coefficients, errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)
+    coefficients, errors = run.profile(math.exp(log_tau))
     at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < END
-    return BranchFit(math.exp(log_tau), coefficients, errors, keep, at_end)
+    return BranchFit(math.exp(log_tau), coefficients, errors, run.scored, at_end)

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from classic_ml.whole_record.branches import Specification, design, least_error, scored_rows
+from classic_ml.whole_record.branches import FreeRun, Specification
 from classic_ml.whole_record.passes import Passes
 from surge_core.types import BoolArray, FloatArray
 
@@ -133,9 +133,8 @@ def _misfit(passes: Passes, spec: Specification, levels: StallLevels, taus_s: Fl
         return math.inf
     length_s, total = passes.phi.size * passes.sample_period_s, 0.0
     if taus_s.size:
-        inputs, psi_p = design(passes, spec, state)
-        scored = scored_rows(passes, spec)
-        least = min(least_error(tau_s, passes, inputs, psi_p, scored) for tau_s in taus_s)
+        run = FreeRun.of(passes, spec, state)
+        least = min(map(run.least_error, taus_s))
         total = length_s / INDEPENDENT_S * math.log(max(least, 1e-12))
     if passes.shift is not None:
         total += length_s / passes.period_s * math.log(_shift_error(passes, passes.shift, state))

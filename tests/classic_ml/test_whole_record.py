@@ -17,13 +17,7 @@ from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.segments import threshold_between
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.branches import (
-    BranchFit,
-    Specification,
-    design,
-    fit_branches,
-    least_error,
-)
+from classic_ml.whole_record.branches import BranchFit, FreeRun, Specification, fit_branches
 from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
@@ -101,12 +95,9 @@ def test_without_noise_both_branches_give_the_truth(tau_s: float) -> None:
 
 def _half_curvature(passes: Passes, fit: BranchFit) -> float:
     """Return half the second derivative of the sum of squares over log τ."""
-    inputs, psi_p = design(passes, SPEC, passes.in_stall)
-    costs = [
-        fit.errors.size * least_error(fit.tau_s * math.exp(step), passes, inputs, psi_p, fit.scored)
-        for step in (-0.03, 0.0, 0.03)
-    ]
-    return (costs[0] - 2.0 * costs[1] + costs[2]) / 0.03**2 / 2.0
+    run = FreeRun.of(passes, SPEC, passes.in_stall)
+    costs = [run.least_error(fit.tau_s * math.exp(step)) for step in (-0.03, 0.0, 0.03)]
+    return fit.errors.size * (costs[0] - 2.0 * costs[1] + costs[2]) / 0.03**2 / 2.0
 
 
 def test_the_scatter_over_seeds_is_that_of_the_curvature() -> None:
