@@ -11,7 +11,7 @@ from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
 from classic_ml.description import TestDescription
 from classic_ml.flow import corrected_flow, mach_from_corrected_flow, physical_flow
-from classic_ml.records import Record, fault_name
+from classic_ml.records import Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
@@ -191,8 +191,7 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
             continue
         noise = []
         for probe in (pair.forward, pair.aft):
-            if fault_name(probe.name) in record:
-                counts &= record[fault_name(probe.name)] == 0
+            counts &= record.marks(probe.name) == 0
             steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
             noise.append(float(np.std(steps) / np.sqrt(GAIN)))
         law = pair.forward.probe_slope, pair.forward.probe_offset
