@@ -9,7 +9,7 @@ spans both, and the other is the second reading.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,7 +28,7 @@ from classic_ml.whole_record_fit import (
 from classic_ml.whole_record_interval import RAMP_MACH, Scatter
 from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
 from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
-from surge_core.display import Field, Sheet
+from surge_core.display import Field
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
@@ -103,25 +103,20 @@ class WholeRecordRun(WholeRunFit):
             found.append(phi[phi <= recovery])
         return np.concatenate(found)
 
-    def _sheet(self) -> Sheet:
-        sheet = super()._sheet()
-        kept = [field for field in sheet.fields if field.label not in ("fitted to", "scored")]
+    def _about(self) -> Iterator[Field]:
         n_cycles = sum(fit.n_cycles for fit in self.fits_)
-        kept.append(
-            Field(
-                "fitted to",
-                f"{self.n_scored_} rows in forward flow, in stall and out of it, of {n_cycles} "
-                "surge cycles, the stall cells cancelled by the rake difference",
-            )
+        yield Field(
+            "fitted to",
+            f"{self.n_scored_} rows in forward flow, in stall and out of it, of {n_cycles} "
+            "surge cycles, the stall cells cancelled by the rake difference",
         )
         if all(fit.estimated for fit in self.fits_):
-            kept.append(Field("law of the probes", self._probe_law))
+            yield Field("law of the probes", self._probe_law)
         if self.second_reading_ is not None:
             low, high = (1e3 * end for end in self.second_reading_.ci95_s)
             value = 1e3 * self.second_reading_.value_s
             words = f"{value:.3g} ms ({low:.3g} to {high:.3g})"
-            kept.append(Field("second reading", words, "advice"))
-        return Sheet("WholeRecordRun", tuple(kept), sheet.grids)
+            yield Field("second reading", words, "advice")
 
 
 def has_rakes(series: CoefficientSeries) -> bool:

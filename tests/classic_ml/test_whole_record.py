@@ -148,6 +148,7 @@ def test_tau_of_a_record_and_its_interval(fitted: WholeRecordRun) -> None:
     low_s, high_s = fitted.ci95_s_
     assert low_s < TAU_S < high_s
     assert high_s / low_s < 2.0
+    assert "held" not in str(fitted)
     low, high = np.percentile(fitted.trusted_phi, [5.0, 95.0]).tolist()
     phi = np.linspace(low, high, 30)
     truth = np.polynomial.polynomial.polyval(phi, CASES["985"].pressure_terms)
