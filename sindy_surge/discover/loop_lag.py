@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -298,12 +299,15 @@ def _settled(
         full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
         return np.column_stack((full[:, kept], full[:, n_terms:]))
 
+    def left_by(at: FloatArray, rows: LagRows = rows) -> float:
+        return _rest(design(at, rows), rows.psi_p)
+
     at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
     for _ in range(2):
         kept = np.arange(n_terms)
         chosen, independent = best_terms(design(at), rows.psi_p, n_terms)
         kept = chosen
-        at = _descend(lambda v: _rest(design(v), rows.psi_p), at, np.full(at.size, 0.01))
+        at = _descend(left_by, at, np.full(at.size, 0.01))
     columns = design(at)
     beta = least_squares(columns, rows.psi_p)
     fitted = columns @ beta
@@ -317,9 +321,7 @@ def _settled(
     again = []
     for _ in range(_TWINS):
         twin = rows.twin(fitted, rng)
-        found = _descend(
-            lambda v, twin=twin: _rest(design(v, twin), twin.psi_p), at, np.full(at.size, 0.01)
-        )
+        found = _descend(partial(left_by, rows=twin), at, np.full(at.size, 0.01))
         again.append(np.append(found, least_squares(design(found, twin), twin.psi_p)))
     moved = 2 * np.append(at, beta) - np.mean(again, axis=0)
     at, beta = moved[: at.size], moved[at.size :]
