@@ -14,7 +14,7 @@ from classic_ml.description import (
     TemperatureChannel,
     TestDescription,
 )
-from classic_ml.records import Channel, LedgerEntry, Record, fault_name
+from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -191,9 +191,10 @@ def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool 
 
 def _sound_mean(steady: Record, name: str) -> float | None:
     """Return the mean of the readings that count, None where most of them do not."""
-    values, fault = steady[name], fault_name(name)
-    sound = steady[fault] == 0 if fault in steady else np.ones(values.size, dtype=np.bool_)
-    return float(np.mean(values[sound])) if 2 * np.count_nonzero(sound) >= sound.size else None
+    sound = steady.marks(name) == 0
+    return (
+        float(np.mean(steady[name][sound])) if 2 * np.count_nonzero(sound) >= sound.size else None
+    )
 
 
 def _other_level(

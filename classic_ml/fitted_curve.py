@@ -11,19 +11,11 @@ from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
 
 
-def lag_sheet(fit: Any, state: str, held_s: float | None, *more: Field) -> Sheet:
-    """Return what is shown of a fitted lag.
+def lag_sheet(fit: Any, state: str, *more: Field) -> Sheet:
+    """Return what is shown of a fitted lag: equation, state and τ, then more fields, and the terms.
 
-    Parameters
-    ----------
-    fit : LagRegressor or WholeRunFit
-        With the attributes of a fitted estimator.
-    state : str
-        Its state in words.
-    held_s : float or None
-        The τ that was held.
-    *more : Field
-        What follows equation, state and τ.
+    The fit has the attributes of an estimator; ``state`` is its state in words. A τ that was held
+    has no error.
     """
     errors = np.sqrt(np.maximum(np.diag(fit.covariance_), 0.0)).tolist()
     named = list(zip(fit.terms_, fit.coef_.tolist(), errors, strict=True))
@@ -35,12 +27,12 @@ def lag_sheet(fit: Any, state: str, held_s: float | None, *more: Field) -> Sheet
     if np.isfinite(fit.time_constant_s_):
         lag_ms = 1e3 * fit.time_constant_s_, 1e3 * fit.time_constant_stderr_s_
         equation = f"{bracketed(*lag_ms)} ms · dy/dt + {equation}"
-        tau = f"{round_to_error(*lag_ms)} ms"
+        tau = f"{round_to_error(*lag_ms)} ms" + (" (held)" if lag_ms[1] == 0.0 else "")
     tone = "good" if fit.fit_state_ is FitState.CONVERGED else "advice"
     fields = (
         Field("equation", equation),
         Field("state", state, tone),
-        Field("time constant τ", tau + ("" if held_s is None else " (held)")),
+        Field("time constant τ", tau),
         *more,
     )
     rows = tuple((name, round_to_error(value, error)) for name, value, error in named)

@@ -23,18 +23,8 @@ LEAST_SLOPE = 1e-6
 def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) -> FloatArray:
     """Return the signed calculated Mach number of a probe pair.
 
-    Parameters
-    ----------
-    forward_Pa, aft_Pa : ndarray of shape (n,)
-        Pressures of the forward and the aft probe. In reversed flow the aft probe reads the
-        total pressure and the forward one the wake; the Mach number is then negative.
-    gamma : float
-        Ratio of the specific heats.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        M_calc = ±√{2/(γ−1) [(P_high/P_low)^((γ−1)/γ) − 1]}, Eq 1 with the reverse rule.
+    M_calc = ±√{2/(γ−1) [(P_high/P_low)^((γ−1)/γ) − 1]}, Eq 1 with the rule for reversed flow, in
+    which the aft probe reads the total pressure and the forward one the wake: it is then negative.
     """
     ratio = np.maximum(forward_Pa, aft_Pa) / np.minimum(forward_Pa, aft_Pa)
     square = 2.0 / (gamma - 1.0) * (ratio ** ((gamma - 1.0) / gamma) - 1.0)
@@ -44,19 +34,10 @@ def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) ->
 def true_mach(calculated: FloatArray, slope: float, offset: float, ramp: float = 0.0) -> FloatArray:
     """Return the signed true Mach number, M_true = ±(a |M_calc| + b) (Eq 2).
 
-    Parameters
-    ----------
-    calculated : ndarray of shape (n,)
-        Signed M_calc.
-    slope, offset : float
-        a and b of the pair, from its flow calibration; the same in reversed flow.
-    ramp : float
-        Below this M_calc b falls to nothing in proportion; 0: b jumps at zero flow, as in Eq 2.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Signed M_true; zero where the probes read alike, since the sign is not known there.
+    ``slope`` and ``offset`` are a and b of the pair, from its flow calibration, the same in
+    reversed flow. Below a M_calc of ``ramp`` b falls to nothing in proportion; with 0 it jumps at
+    zero flow, as in Eq 2, where the probes read alike and the sign is not known: there M_true is
+    zero.
     """
     size = np.abs(calculated)
     jump = offset * np.minimum(size / ramp, 1.0) if ramp > 0.0 else offset
@@ -65,21 +46,9 @@ def true_mach(calculated: FloatArray, slope: float, offset: float, ramp: float =
 
 
 def corrected_flow(mach: FloatArray, area_m2: float, compressor: Compressor) -> FloatArray:
-    """Return the corrected flow for a Mach number, odd in it (Eq 3).
+    """Return the corrected flow in kg/s for a signed true Mach number, odd in it (Eq 3).
 
-    Parameters
-    ----------
-    mach : ndarray of shape (n,)
-        Signed true Mach number.
-    area_m2 : float
-        Flow area of the plane.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        W_c = A P_o √(γ/(R T_o)) M / (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))), in kg/s.
+    W_c = A P_o √(γ/(R T_o)) M / (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))).
     """
     return _flow_constant_kg_s(area_m2, compressor) * mach / _expansion(mach, compressor.gamma)
 
@@ -106,26 +75,9 @@ def pair_flow(
 def mach_from_corrected_flow(
     corrected_kg_s: FloatArray, area_m2: float, compressor: Compressor
 ) -> FloatArray:
-    """Invert Eq 3 on its subsonic branch, by Newton's method.
+    """Invert Eq 3 on its subsonic branch, |M| ≤ 1, by Newton's method.
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Signed corrected flow, in kg/s.
-    area_m2 : float
-        Flow area of the plane.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Signed Mach number, |M| ≤ 1.
-
-    Raises
-    ------
-    InputError
-        When the flow is more than the area can pass.
+    A flow in kg/s, signed, that is more than the area can pass is refused.
     """
     gamma = compressor.gamma
     constant_kg_s = _flow_constant_kg_s(area_m2, compressor)

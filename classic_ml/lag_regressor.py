@@ -327,7 +327,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return lag_sheet(
             self,
             f"{self.fit_state_.code}: {self.fit_state_.advice}",
-            self.time_constant_s,
             Field("noise", f"{self.noise}, hold “{self.hold}”"),
             Field("residual (std)", significant(self.residual_std_, 3)),
             Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),

@@ -21,31 +21,15 @@ PIECES = 12
 
 @dataclass(frozen=True)
 class LinearisedFit:
-    """The errors of a fit and their derivatives.
+    """The errors of a fit and their derivatives."""
 
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Prediction errors of the scored rows, times the root of their weights.
-    jacobian : ndarray of shape (n, p)
-        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms,
-        drift, C).
-    back : ndarray of shape (q, r)
-        What turns those coefficients into β.
-    rows : ndarray of int, shape (n,)
-        Row of the data that each error belongs to.
-    pieces : tuple of slice
-        Stretches of ``errors`` that follow each other without a gap.
-    segment : ndarray of int, shape (n,)
-        Number of the segment, from 0, of each error.
-    """
-
-    errors: FloatArray
+    errors: FloatArray  # (n,): Of the scored rows, times the root of their weights
+    # (n, p): ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, drift, C)
     jacobian: FloatArray
-    back: FloatArray
-    rows: IntArray
-    pieces: tuple[slice, ...]
-    segment: IntArray
+    back: FloatArray  # (q, r): What turns those coefficients into β
+    rows: IntArray  # (n,): Row of the data that each error belongs to
+    pieces: tuple[slice, ...]  # Stretches of errors that follow each other without a gap
+    segment: IntArray  # (n,): Number of the segment, from 0, of each error
 
 
 def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray) -> LinearisedFit:

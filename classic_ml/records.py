@@ -177,6 +177,13 @@ class Record(Displayed):
         """Return the facility clock at one sample, as :attr:`time_s` has it."""
         return float(self.start_s + row / self.sample_rate_hz)
 
+    def marks(self, name: str) -> NDArray[np.uint8]:
+        """Return the marks of a channel's readings that do not count, 0 for those that do."""
+        fault = fault_name(name)
+        if fault not in self:
+            return np.zeros(self.n_samples, dtype=np.uint8)
+        return self[fault].astype(np.uint8, copy=False)
+
     def rows_between(self, from_s: float, to_s: float) -> slice:
         """Return the rows from one time to another on the facility clock, within half a sample."""
         first, last = (self.sample_rate_hz * (at_s - self.start_s) for at_s in (from_s, to_s))

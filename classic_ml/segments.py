@@ -135,34 +135,44 @@ def estimated_threshold_lbm_s(
     threshold will be applied to.
     """
     flow = corrected_kg_s[window]
-    order = np.argsort(flow)
-    in_order, n_below = flow[order], np.arange(1, flow.size)
-    slack = 0.0
     if state is not None:
-        stalled = state[window][order]
-        unstalled = 1.0 - float(np.mean(stalled))
-        # Rows that a threshold behind each flow in turn gives the wrong state.
-        upto = np.cumsum(stalled)
-        cost = n_below - 2 * upto[:-1] + upto[-1]
-        wrong = (flow <= in_order[int(np.argmin(cost))]) != state[window]
-        # The standard error of their number: those of one stretch are wrong together.
-        slack = float(np.linalg.norm(np.diff(intervals_where(wrong), axis=1)))
+        unstalled = 1.0 - float(np.mean(state[window]))
         how = "the shift between hub and tip"
     else:
         unstalled = 1.0 if _recovers(record, window) else 0.0
-        below = np.cumsum(in_order)[:-1]
-        lower, upper = below / n_below, (in_order.sum() - below) / (flow.size - n_below)
-        cost = -n_below * (flow.size - n_below) * (upper - lower) ** 2
         how = "the spread of the flow"
     parameters: dict[str, str | int | float | bool] = {"origin": "estimated", "by": how}
     if unstalled < LEAST_UNSTALLED:
         did = f"estimated: none, since {how} shows no unstalled regime"
         return None, LedgerEntry("threshold", did, parameters)
-    good = np.flatnonzero(cost <= cost.min() + slack)
-    threshold = 0.5 * float(in_order[good[0]] + in_order[good[-1] + 1]) / LBM_KG
+    between = threshold_between(flow) if state is None else _dividing(flow, state[window])
+    threshold = between / LBM_KG
     parameters["threshold_lbm_s"] = round(threshold, 3)
     did = f"estimated: {threshold:.1f} lbm/s of corrected flow, by {how}"
     return threshold, LedgerEntry("threshold", did, parameters)
+
+
+def threshold_between(values: FloatArray) -> float:
+    """Return the value that leaves the least variance on its two sides (Otsu's method)."""
+    ordered = np.sort(values)
+    below = np.arange(1, ordered.size)
+    sums = np.cumsum(ordered)[:-1]
+    gap = (ordered.sum() - sums) / (ordered.size - below) - sums / below
+    best = int(np.argmax(below * (ordered.size - below) * gap**2))
+    return 0.5 * float(ordered[best] + ordered[best + 1])
+
+
+def _dividing(flow: FloatArray, stalled: BoolArray) -> float:
+    """Return the flow that divides rows as their state does, as nearly as the switches decide."""
+    order = np.argsort(flow)
+    in_order, upto = flow[order], np.cumsum(stalled[order])
+    # Rows that a threshold behind each flow in turn gives the wrong state.
+    cost = np.arange(1, flow.size) - 2 * upto[:-1] + upto[-1]
+    wrong = (flow <= in_order[int(np.argmin(cost))]) != stalled
+    # The standard error of their number: those of one stretch are wrong together.
+    slack = float(np.linalg.norm(np.diff(intervals_where(wrong), axis=1)))
+    good = np.flatnonzero(cost <= cost.min() + slack)
+    return 0.5 * float(in_order[good[0]] + in_order[good[-1] + 1])
 
 
 def segment(

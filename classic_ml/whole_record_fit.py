@@ -8,14 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.twin import Twin, twin_of
-from classic_ml.whole_record.branches import (
-    BranchFit,
-    Specification,
-    fit_branches,
-    specification,
-)
-from classic_ml.whole_record.interval import (
+from classic_ml.record_reading import RecordReading
+from classic_ml.whole_record.branches import BranchFit
+from classic_ml.whole_record.rakes import RakeSignals
+from classic_ml.whole_record_interval import (
     DELAY_STEP_S,
     Scatter,
     delay_of_exit,
@@ -27,12 +23,9 @@ from classic_ml.whole_record.interval import (
     with_stored_gas,
     within_bounds,
 )
-from classic_ml.whole_record.passes import Passes, passes_of
-from classic_ml.whole_record.rakes import RakeSignals
-from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
 from surge_core.fit_state import FitState
 from surge_core.segments import runs_of
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 N_TWINS = 20
 # Fewer cycles than this make no jackknife.
@@ -47,16 +40,10 @@ class WholeRecordFit:
 
     Parameters
     ----------
+    reading : RecordReading
+        The rows it was made from, what was taken for granted, and the state.
     fit : BranchFit
         The estimate.
-    passes : Passes
-        The rows it was made from.
-    spec : Specification
-        What was taken for granted.
-    in_stall : ndarray of bool, shape (n,)
-        The state.
-    levels : StallLevels or None
-        The flows of recovery and entry; None where the state is the one by hub and tip.
     cycles, specification, twins : Scatter
         Scatter over cycles left out, over specifications and over twins; that over twins has
         ``n`` 0 where none were measured.
@@ -72,11 +59,8 @@ class WholeRecordFit:
         By how much plane 31 seems late, in seconds, and how far log τ moves without that.
     """
 
+    reading: RecordReading
     fit: BranchFit
-    passes: Passes
-    spec: Specification
-    in_stall: BoolArray
-    levels: StallLevels | None
     cycles: Scatter
     specification: Scatter
     twins: Scatter
@@ -103,10 +87,10 @@ class WholeRecordFit:
 
         The two ways are the flow levels and the hub-minus-tip flow.
         """
-        passes, found = self.passes, 0
-        if self.levels is None or passes.shift is None:
+        passes, state, found = self.reading.passes, self.reading.in_stall, 0
+        if self.reading.levels is None or passes.shift is None:
             return 0
-        for one, other in ((self.in_stall, passes.in_stall), (passes.in_stall, self.in_stall)):
+        for one, other in ((state, passes.in_stall), (passes.in_stall, state)):
             for run in runs_of(one, one.size):
                 long = run.stop - run.start >= passes.rows_of(passes.period_s)
                 found += long and not np.any(other[run] == one[run.start])
@@ -115,13 +99,12 @@ class WholeRecordFit:
     @property
     def _hub_and_tip_explain_more(self) -> bool:
         """Whether ψ' speaks for the state by hub and tip, too: else their profile has misled it."""
-        other = fit_branches(self.passes, self.spec, self.passes.in_stall, near_s=self.tau_s)
-        return other.cost < self.fit.cost
+        return self.reading.by_hub_and_tip().fit(near_s=self.tau_s).cost < self.fit.cost
 
     @property
     def coefficients(self) -> FloatArray:
         """β of the in-stall powers of φ."""
-        return self.fit.coefficients[: self.spec.degree + 1]
+        return self.fit.coefficients[: self.reading.spec.degree + 1]
 
     @property
     def covariance(self) -> FloatArray:
@@ -140,7 +123,7 @@ class WholeRecordFit:
             return FitState.CONVERGED
         # A single step is none: the responses of the probes differ by as much.
         late_s, moved = self.delay
-        step_s = max(DELAY_STEP_S, self.passes.sample_period_s)
+        step_s = max(DELAY_STEP_S, self.reading.passes.sample_period_s)
         if abs(late_s) > 1.5 * step_s and abs(moved) > self.share:
             return FitState.MISALIGNED
         if self.contradictions > 0.5 * self.n_cycles and self._hub_and_tip_explain_more:
@@ -156,7 +139,6 @@ def fit_whole_record(
     degree: int = 2,
     interval: bool = True,
     n_twins: int = N_TWINS,
-    random_state: int = 0,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> WholeRecordFit:
     """Estimate τ and the in-stall characteristic from all forward rows of a record.
@@ -173,8 +155,6 @@ def fit_whole_record(
         Whether the scatter is estimated; without it the numbers alone are.
     n_twins : int
         Twins behind the interval; 0 leaves their part out of it.
-    random_state : int
-        Seed of the twins.
     progress : callable
         Wraps the iteration over the twins, to show how far it is.
 
@@ -183,49 +163,27 @@ def fit_whole_record(
     InputError
         When the record has no rows to fit.
     """
-    passes = passes_of(signals, window)
-    spec = specification(signals, passes, degree)
-    in_stall, levels = estimated_state(passes, spec)
-    fit = fit_branches(passes, spec, in_stall)
-    n_cycles = int(passes.cycle[-1]) + 1
+    reading = RecordReading.of(signals, window, degree, by_flow=False)
+    fit = reading.fit()
+    n_cycles = int(reading.passes.cycle[-1]) + 1
     if not interval:
-        nothing = scatter_of((), fit, degree, 1.0)
-        parts = nothing, nothing, nothing, nothing
-        return WholeRecordFit(fit, passes, spec, in_stall, levels, *parts, n_cycles, False)
+        none = scatter_of((), fit, degree, 1.0)
+        return WholeRecordFit(reading, fit, none, none, none, none, n_cycles, False)
     twins: list[BranchFit] = []
     if n_twins:
-        twin = twin_of(signals, passes, spec, in_stall, fit)
-        rng = np.random.default_rng(random_state)
-        twins = [
-            _fit_twin(twin, spec, levels, fit.tau_s, rng, window) for _ in progress(range(n_twins))
-        ]
-    late_s, on_time = delay_of_exit(signals, passes, spec, in_stall, fit)
-    stored = with_stored_gas(signals, passes, spec, in_stall, fit)
+        twin, rng = reading.twin_under(fit), np.random.default_rng(0)
+        for _ in progress(range(n_twins)):
+            twins.append(reading.again(twin, rng, fit.tau_s).fit(near_s=fit.tau_s))
+    late_s, on_time = delay_of_exit(reading, fit)
     return WholeRecordFit(
+        reading,
         fit,
-        passes,
-        spec,
-        in_stall,
-        levels,
-        jackknife(passes, spec, in_stall, fit),
-        variants(passes, spec, in_stall, fit),
+        jackknife(reading, fit),
+        variants(reading, fit),
         errors_of(twins, fit, degree),
-        within_bounds((on_time, stored), fit, degree),
+        within_bounds((on_time, with_stored_gas(reading, fit)), fit, degree),
         n_cycles,
         True,
-        law_of_probes(signals, window, spec, levels, fit),
+        law_of_probes(reading, fit),
         (late_s, math.log(on_time.tau_s / fit.tau_s)),
     )
-
-
-def _fit_twin(
-    twin: Twin,
-    spec: Specification,
-    levels: StallLevels | None,
-    near_s: float,
-    rng: np.random.Generator,
-    window: slice | None,
-) -> BranchFit:
-    passes = passes_of(twin.measured(rng), window)
-    state = refined_state(passes, spec, levels, near_s)
-    return fit_branches(passes, spec, state, near_s=near_s)

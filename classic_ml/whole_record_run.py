@@ -9,15 +9,15 @@ spans both, and the other is the second reading.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from classic_ml.characteristics import polynomial_names
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.branches import design, profile
-from classic_ml.whole_record.interval import RAMP_MACH, Scatter
+from classic_ml.whole_record.branches import FreeRun, design
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -25,9 +25,10 @@ from classic_ml.whole_record_fit import (
     WholeRecordFit,
     fit_whole_record,
 )
+from classic_ml.whole_record_interval import RAMP_MACH, Scatter
 from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
 from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
-from surge_core.display import Field, Sheet
+from surge_core.display import Field
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
@@ -96,30 +97,26 @@ class WholeRecordRun(WholeRunFit):
         """φ of the scored rows in stall, up to the flow of recovery."""
         found = []
         for fit in self.fits_:
-            phi = fit.passes.phi[fit.fit.scored & fit.in_stall]
-            recovery = math.inf if fit.levels is None else fit.levels.recovery_phi
+            reading = fit.reading
+            phi = reading.passes.phi[fit.fit.scored & reading.in_stall]
+            recovery = math.inf if reading.levels is None else reading.levels.recovery_phi
             found.append(phi[phi <= recovery])
         return np.concatenate(found)
 
-    def _sheet(self) -> Sheet:
-        sheet = super()._sheet()
-        kept = [field for field in sheet.fields if field.label not in ("fitted to", "scored")]
+    def _about(self) -> Iterator[Field]:
         n_cycles = sum(fit.n_cycles for fit in self.fits_)
-        kept.append(
-            Field(
-                "fitted to",
-                f"{self.n_scored_} rows in forward flow, in stall and out of it, of {n_cycles} "
-                "surge cycles, the stall cells cancelled by the rake difference",
-            )
+        yield Field(
+            "fitted to",
+            f"{self.n_scored_} rows in forward flow, in stall and out of it, of {n_cycles} "
+            "surge cycles, the stall cells cancelled by the rake difference",
         )
         if all(fit.estimated for fit in self.fits_):
-            kept.append(Field("law of the probes", self._probe_law))
+            yield Field("law of the probes", self._probe_law)
         if self.second_reading_ is not None:
             low, high = (1e3 * end for end in self.second_reading_.ci95_s)
             value = 1e3 * self.second_reading_.value_s
             words = f"{value:.3g} ms ({low:.3g} to {high:.3g})"
-            kept.append(Field("second reading", words, "advice"))
-        return Sheet("WholeRecordRun", tuple(kept), sheet.grids)
+            yield Field("second reading", words, "advice")
 
 
 def has_rakes(series: CoefficientSeries) -> bool:
@@ -165,18 +162,11 @@ def fit_whole_records(
         return _in_stall_alone(records, degree, until_s, why)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
-    windows = [window_of(record, end) for record, end in zip(records, ends, strict=True)]
+    settings: Any = {"interval": whole, "n_twins": n_twins, "progress": progress}
     try:
         fits = tuple(
-            fit_whole_record(
-                each,
-                window,
-                degree=degree,
-                interval=whole,
-                n_twins=n_twins if whole else 0,
-                progress=progress,
-            )
-            for each, window in zip(found, windows, strict=True)
+            fit_whole_record(each, window_of(record, end), degree=degree, **settings)
+            for each, record, end in zip(found, records, ends, strict=True)
         )
     except InputError:
         # No surge cycle that could be scored: the older fit says what there is.
@@ -186,7 +176,7 @@ def fit_whole_records(
     cancelled = not any(each.one_rake for each in found)
     if whole and cancelled and all(map(has_whole_run, records)):
         second = fit_whole_runs(records, degree=degree)
-    return _combined(records, fits, degree, second)
+    return _combined(records, fits, second)
 
 
 def _in_stall_alone(
@@ -200,15 +190,7 @@ def _in_stall_alone(
     known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
     if until_s is not None or fit.fit_state_ is not FitState.CONVERGED:
         return fit
-    if known and withheld is None:
-        return fit
-    return replace(
-        fit,
-        time_constant_s_=math.nan,
-        time_constant_stderr_s_=math.nan,
-        covariance_=np.full_like(fit.covariance_, math.nan),
-        fit_state_=withheld or FitState.UNCERTAIN,
-    )
+    return fit if known and withheld is None else fit.withheld(withheld or FitState.UNCERTAIN)
 
 
 def window_of(record: CoefficientSeries, until_s: float = math.inf) -> slice:
@@ -271,7 +253,6 @@ class _Answer:
 def _combined(
     records: Sequence[CoefficientSeries],
     fits: tuple[WholeRecordFit, ...],
-    degree: int,
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
     log_tau, share = _mean_of([(math.log(fit.tau_s), fit.share) for fit in fits])
@@ -300,8 +281,8 @@ def _result(
     state: FitState,
     second: Reading | None,
 ) -> WholeRecordRun:
-    tau_s, share, covariance = math.exp(answer.log_tau), answer.share, answer.covariance
-    degree = fits[0].spec.degree
+    tau_s, share = math.exp(answer.log_tau), answer.share
+    degree = fits[0].reading.spec.degree
     rows = _rows(records, fits, degree)
     model = output_error(records[0].sample_period_s, "first", tau_s)
     stacked_rows(rows).fitted(model)
@@ -310,15 +291,12 @@ def _result(
     if second is not None:
         low_s, high_s = min(low_s, second.ci95_s[0]), max(high_s, second.ci95_s[1])
         share = math.log(high_s / low_s) / (2.0 * QUANTILE)
-    if state.withholds:
-        tau_s = share = low_s = high_s = math.nan
-        covariance = np.full_like(covariance, math.nan)
-    return WholeRecordRun(
+    run = WholeRecordRun(
         tau_s,
         tau_s * share,
         polynomial_names("phi", degree),
         answer.coefficients,
-        covariance,
+        answer.covariance,
         degree,
         sum(fit.cycles.n for fit in fits),
         state,
@@ -328,6 +306,8 @@ def _result(
         (low_s, high_s),
         second,
     )
+    nothing = math.nan, math.nan
+    return replace(run.withheld(state), ci95_s_=nothing) if state.withholds else run
 
 
 def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -343,9 +323,9 @@ def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 def _curve_at(tau_s: float, fit: WholeRecordFit) -> FloatArray:
     """Return the in-stall coefficients for another time constant."""
-    inputs, psi_p = design(fit.passes, fit.spec, fit.in_stall)
-    coefficients, _ = profile(tau_s, fit.passes, inputs, psi_p, fit.fit.scored)
-    return coefficients[: fit.spec.degree + 1]
+    reading = fit.reading
+    run = FreeRun.of(reading.passes, reading.spec, reading.in_stall, fit.fit.scored)
+    return run.profile(tau_s)[0][: reading.spec.degree + 1]
 
 
 def _mean_curve(
@@ -365,16 +345,17 @@ def _rows(
 ) -> tuple[WholeRunRows, ...]:
     """Return the pieces of all free runs, each record with nuisances of its own."""
     n_terms = degree + 1
-    designs = [design(fit.passes, fit.spec, fit.in_stall) for fit in fits]
+    readings = [fit.reading for fit in fits]
+    designs = [design(each.passes, each.spec, each.in_stall) for each in readings]
     widths = [inputs.shape[1] - n_terms for inputs, _ in designs]
     first = np.concatenate([[0], np.cumsum(widths)])
     rows = []
     for number, (record, fit) in enumerate(zip(records, fits, strict=True)):
-        inputs, psi_p = designs[number]
-        phi = fit.passes.smooth(fit.passes.phi, fit.spec.average_s)
+        (inputs, psi_p), passes = designs[number], fit.reading.passes
+        phi = passes.smooth(passes.phi, fit.reading.spec.average_s)
         nuisance = np.zeros((psi_p.size, first[-1]))
         nuisance[:, first[number] : first[number + 1]] = inputs[:, n_terms:]
-        for piece in fit.passes.pieces:
+        for piece in passes.pieces:
             rows.append(
                 WholeRunRows(
                     phi[piece],
@@ -382,8 +363,8 @@ def _rows(
                     nuisance[piece],
                     psi_p[piece],
                     fit.fit.scored[piece].astype(np.float64),
-                    record.time_s[fit.passes.row[piece]],
-                    int(np.count_nonzero(fit.in_stall[piece])),
+                    record.time_s[passes.row[piece]],
+                    int(np.count_nonzero(fit.reading.in_stall[piece])),
                 )
             )
     return tuple(rows)

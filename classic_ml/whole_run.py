@@ -10,8 +10,9 @@ lines between samples. Any one of them alone makes τ worse.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,21 +85,20 @@ class WholeRunFit(Displayed):
     rows_: tuple[WholeRunRows, ...]
 
     def _sheet(self) -> Sheet:
+        return lag_sheet(self, self.fit_state_.advice, *self._about())
+
+    def _about(self) -> Iterator[Field]:
+        """Yield what is shown beside equation, state and τ."""
         n_rows = sum(row.phi.size for row in self.rows_)
-        return lag_sheet(
-            self,
-            self.fit_state_.advice,
-            self.model_.time_constant_s,
-            Field(
-                "fitted to",
-                f"{counted(len(self.rows_), 'run')} of unfiltered signals, {n_rows} rows, "
-                "averaged over one period of the stall cells",
-            ),
-            Field(
-                "scored",
-                f"{self.n_scored_} rows in forward flow in stall; errors from {self.n_blocks_} "
-                "blocks, with those that all cycles share",
-            ),
+        yield Field(
+            "fitted to",
+            f"{counted(len(self.rows_), 'run')} of unfiltered signals, {n_rows} rows, "
+            "averaged over one period of the stall cells",
+        )
+        yield Field(
+            "scored",
+            f"{self.n_scored_} rows in forward flow in stall; errors from {self.n_blocks_} "
+            "blocks, with those that all cycles share",
         )
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -116,6 +116,16 @@ class WholeRunFit(Displayed):
     def n_scored_(self) -> int:
         """Rows scored."""
         return int(sum(row.weight.sum() for row in self.rows_))
+
+    def withheld(self, state: FitState) -> Self:
+        """Return the fit without τ and its errors, which a state withholds."""
+        return replace(
+            self,
+            time_constant_s_=math.nan,
+            time_constant_stderr_s_=math.nan,
+            covariance_=np.full_like(self.covariance_, math.nan),
+            fit_state_=state,
+        )
 
     def stacked(self) -> StackedRuns:
         """Return what was fitted, and which rows were scored."""

@@ -21,18 +21,9 @@ _MOST_INPUTS_WITH_STATE = 2
 class CandidateTerms:
     """A fitted library with its names: terms of the inputs first, then those that hold ψ'.
 
-    Parameters
-    ----------
-    library : pysindy library, scikit-learn transformer or None
-        Deep-copied, then fitted to `X`; None builds `default_library`.
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs.
-    input_names : list of str
-        Name of each input, used in the names of the terms.
-    psi_p : ndarray of shape (n_rows,) or None
-        ψ' at the rows of `X`, for terms that hold it (with one or two inputs); None for none.
-    output_name : str
-        Name of ψ'.
+    A pysindy library or a scikit-learn transformer is copied and fitted to the inputs; without one
+    it is `default_library`. Terms that hold ψ', called ``output_name``, are offered where ``psi_p``
+    is given at the rows of ``X``, with one or two inputs.
     """
 
     def __init__(
@@ -103,23 +94,11 @@ class CandidateTerms:
         *,
         strict: bool = True,
     ) -> FloatArray:
-        """Evaluate terms in physical units.
+        """Evaluate terms in physical units, (n_rows, n_wanted), at inputs (n_rows, n_inputs).
 
-        Parameters
-        ----------
-        X : ndarray of shape (n_rows, n_inputs)
-            The inputs.
-        psi_p : ndarray of shape (n_rows,) or None
-            ψ' at the same rows; needed for the terms that hold it.
-        wanted : sequence of int or None
-            Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
-        strict : bool
-            Refuse a term that is not finite somewhere (InputError).
-
-        Returns
-        -------
-        ndarray of shape (n_rows, n_wanted)
-            The terms.
+        ``wanted`` are positions of terms, rising; without them it is all, or without ψ' at the same
+        rows all that do not hold it. Where ``strict``, a term that is not finite somewhere is
+        refused.
         """
         own, edge = len(self._own_names), self.n_without_state
         if wanted is None:
@@ -167,13 +146,7 @@ class CandidateTerms:
 def fitted_library(
     library: Any, X: FloatArray, input_names: Sequence[str]
 ) -> tuple[Any, tuple[str, ...]]:
-    """Fit a copy of a library to inputs (n_rows, n_inputs), and name its terms.
-
-    Raises
-    ------
-    InputError
-        If it is none, or does not take such inputs.
-    """
+    """Fit a copy of a library to inputs (n_rows, n_inputs) and name its terms, or refuse it."""
     try:
         # CustomLibrary keeps its functions where sklearn's clone does not look.
         with np.errstate(all="ignore"):
@@ -201,11 +174,6 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
     """Return the columns, first come first kept, that no earlier ones reproduce.
 
     Zero columns (the reverse branch of a record that never reverses) and exact aliases go.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_terms)
-        The terms over the data.
     """
     norms = np.linalg.norm(values, axis=0)
     # The triangular factor holds all inner products in as many rows as there are terms.
@@ -227,15 +195,7 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
 
 
 def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:
-    """Return the total degree of a term, e.g. 3 of ``x0 x1^2``; None if it is no such product.
-
-    Parameters
-    ----------
-    name : str
-        Name of the term.
-    input_names : sequence of str
-        Names of the inputs.
-    """
+    """Return the total degree of a term, e.g. 3 of ``x0 x1^2``; None if it is no such product."""
     if name == "1":
         return 0
     degree = 0

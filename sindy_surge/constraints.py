@@ -33,30 +33,12 @@ class Constraints:
 def constraints_of(
     wishes: Mapping[str, str] | None, names: Sequence[str], usable: IndexArray
 ) -> tuple[IndexArray, Constraints]:
-    """Read a user's constraints.
+    """Read a user's constraints: the usable terms without the forbidden ones, and what binds them.
 
-    Parameters
-    ----------
-    wishes : mapping of str to str, or None
-        For the name of a term one or two of "required", "forbidden", "positive", "negative",
-        separated by a space.
-    names : sequence of str
-        Names of all terms.
-    usable : ndarray of int
-        Positions of those that the data can separate.
-
-    Returns
-    -------
-    columns : ndarray of int
-        The usable terms without the forbidden ones.
-    constraints : Constraints
-        By position among these.
-
-    Raises
-    ------
-    InputError
-        For an unknown term or word, a contradiction, or a required term that the data cannot
-        separate from others.
+    ``wishes`` hold for the name of a term one or two of "required", "forbidden", "positive",
+    "negative", separated by a space; ``usable`` are the positions among ``names`` that the data can
+    separate. Refused are an unknown term or word, a contradiction, and a required term that the
+    data cannot separate from others.
     """
     asked = {name: set(str(text).split()) for name, text in dict(wishes or {}).items()}
     for name, words in asked.items():

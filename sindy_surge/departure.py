@@ -73,20 +73,11 @@ def departure_from(
     hinges: Sequence[int],
     seconds: float,
 ) -> Departure:
-    """Compare the parabola with a cubic and with a hinge at every knot.
+    """Compare the parabola with a cubic, whose first terms it is, and with a hinge at every knot.
 
-    Each run has a parabola, nuisances and a lag of its own; knot and slope are common to all.
-
-    Parameters
-    ----------
-    equations : FreeRunEquations
-        The record or records, one run each.
-    parabola, cubic : tuple of int
-        The terms of each; of the cubic those of the parabola first.
-    hinges : sequence of int
-        Terms with a knot.
-    seconds : float
-        Scored for τ in each run, on average; 0 for runs that cannot show the shape.
+    Each run has a parabola, nuisances and a lag of its own; knot and slope are common to all. The
+    ``seconds`` are those scored for τ in each run, on average; 0 for runs that cannot show the
+    shape.
     """
     own = equations.apart()
     kinks = [(*parabola, hinge) for hinge in _inner(own, hinges)]
@@ -123,10 +114,7 @@ def _saved(
 ) -> tuple[float, float, float]:
     """Return what a last term with one coefficient for all runs saves.
 
-    Returns
-    -------
-    gain, coefficient, reach : float
-        √(share of the squared error saved), the coefficient, and the one of gain 1.
+    That is √(share of the squared error saved), the coefficient, and the one of gain 1.
     """
     plain = sum(each.profiled(one)[0] for each in own)
     errors, values, information = np.array([each.profiled(other) for each in own]).T

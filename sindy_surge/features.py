@@ -33,18 +33,12 @@ def features(
     """Evaluate some of the usable terms and undo the bend that remaining noise gives them.
 
     Noise of standard deviation s left in φ turns g into G g, its Gaussian average. The value
-    returned is 3g - 3Gg + GGg, exact for powers up to five with the three-point
-    Gauss-Hermite rule used here (nodes 0 and ±√3 s). The slope is the central difference over
-    the same nodes. ψ' is the simulated one: it carries next to no noise.
+    returned is 3g - 3Gg + GGg, exact for powers up to five with the three-point Gauss-Hermite rule
+    used here (nodes 0 and ±√3 s). The slope is the central difference over the same nodes. ψ' is
+    the simulated one: it carries next to no noise.
 
-    Parameters
-    ----------
-    inputs : ndarray of shape (n_rows, n_inputs)
-        Where to evaluate.
-    blur : ndarray of shape (n_inputs,)
-        Standard deviation s of the noise left in each input.
-    state : ndarray of shape (n_rows,) or None
-        ψ' at the times when the inputs act; needed for the terms that hold it.
+    ``blur`` is s of each input; ``state`` is ψ' at the times when the inputs (n_rows, n_inputs)
+    act, needed for the terms that hold it.
     """
     least = _SMALL_STEP * np.ptp(problem.inputs, axis=0)
     least[least == 0] = _SMALL_STEP

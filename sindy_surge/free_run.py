@@ -20,14 +20,9 @@ _STEP = 1e-6
 def driven(lag: FirstOrderLag, values: FloatArray, rows: IndexArray, by: int = 0) -> FloatArray:
     """Return Σ_i taps[by, i] values[row - m - i] for rows of the record.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows,) or (n_rows, n_columns)
-        Forcing at the samples.
-    rows : ndarray of int
-        Rows whose inputs, the dead time of m samples and a fraction earlier, are in the record.
-    by : {0, 1, 2}
-        The drive itself, or its derivative with respect to log τ or to the dead time in samples.
+    The values are the forcing at the samples, (n_rows,) or (n_rows, n_columns); the inputs of the
+    rows, the dead time of m samples and a fraction earlier, are in the record. ``by`` 1 or 2 is the
+    derivative with respect to log τ or to the dead time in samples.
     """
     at = rows - lag.whole_samples
     taps = lag.taps[by]
@@ -40,14 +35,8 @@ def run_lag(
 ) -> FloatArray:
     """Run x[k] = pole x[k-1] + drive[k] through every segment from its own initial state.
 
-    Parameters
-    ----------
-    drive : ndarray of shape (n_rows,) or (n_rows, n_columns)
-        Drive of each row; that of a segment's first row is not used.
-    segments : Segments
-        The runs of rows.
-    initial : ndarray of shape (n_segments,) or None
-        State at the first row of each segment; None starts every run at zero.
+    The drive has a value or a row of columns a row; that of a segment's first row is not used.
+    Without initial states, one a segment, every run starts at zero.
     """
     from scipy.signal import lfilter
 
@@ -74,11 +63,7 @@ def solve_recursion(
 ) -> FloatArray:
     """Solve ahead[k] x[k] - behind[k] x[k-1] = target[k]; each segment's first x is its target.
 
-    Parameters
-    ----------
-    ahead, behind : ndarray of shape (n_equations,)
-        At the rows `segments.later`.
-    target : ndarray of shape (n_rows,)
+    ``ahead`` and ``behind`` are given at the rows `segments.later`, the target at all.
     """
     from scipy.linalg import solve_banded
 
@@ -130,12 +115,7 @@ class FreeModel:
     def rate(self, psi_p: ArrayLike, *inputs: ArrayLike) -> Any:
         """Return dψ'/dt = (Σ β_i s_i(φ(t - d), ψ') - ψ')/τ in 1/s, of the inputs' common shape.
 
-        Parameters
-        ----------
-        psi_p : float or array-like
-            Pressure coefficient now.
-        *inputs : float or array-like
-            φ, or every input in the order of the columns, the dead time ago.
+        ψ' is that of now; the inputs, in the order of the columns, are those of the dead time ago.
         """
         given = (np.asarray(values, dtype=np.float64) for values in (psi_p, *inputs))
         state, *columns = np.broadcast_arrays(*given)
@@ -163,19 +143,10 @@ class FreeModel:
         return np.clip(np.nan_to_num(state), low - reach, high + reach)
 
     def run(self, inputs: FloatArray, segments: Segments, initial: FloatArray) -> FloatArray:
-        """Run the model freely, each segment from an initial state.
+        """Run the model freely, each segment from the ψ' given for its first row.
 
-        Before a segment begins its inputs are taken to have been what they are at its first
-        row (after its end, for a dead time below zero, at its last).
-
-        Parameters
-        ----------
-        inputs : ndarray of shape (n_rows, n_inputs)
-            Inputs at the samples.
-        segments : Segments
-            The runs of rows.
-        initial : ndarray of shape (n_segments,)
-            ψ' at the first row of each segment.
+        Before a segment begins its inputs are taken to have been what they are at its first row
+        (after its end, for a dead time below zero, at its last).
         """
         lag, later = self.lag, segments.later
         rows = np.arange(segments.n_rows)

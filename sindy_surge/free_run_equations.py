@@ -72,16 +72,9 @@ class FreeRunEquations:
         return np.repeat(np.arange(self.runs.starts.size), self.runs.lengths)[self.scored]
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fit some terms and τ.
+        """Fit some terms and τ: β with τ last, the derivatives of the fitted values, the residual.
 
-        Returns
-        -------
-        parameters : ndarray of shape (n_support + 1,)
-            β, and last τ in seconds.
-        design : ndarray of shape (n_scored, n_support + 1)
-            Derivatives of the fitted values, nuisances and starts projected out.
-        residual : ndarray of shape (n_scored,)
-            What is left.
+        Nuisances and starts are projected out of the derivatives, (n_scored, n_support + 1).
         """
         found = self.solve(support)
         between = np.s_[len(support) : len(support) + self.nuisance.shape[1]]
@@ -108,11 +101,8 @@ class FreeRunEquations:
     def simulated(self, time_constant_s: float) -> FloatArray:
         """Return what each candidate contributes to the scored rows, for one τ in seconds.
 
-        Returns
-        -------
-        ndarray of shape (n_scored, n_columns)
-            Run through the lag, nuisances and starts projected out; zero where nuisances make up
-            the whole column.
+        Run through the lag, nuisances and starts projected out; zero where nuisances make up the
+        whole column.
         """
         n = self.nuisance.shape[1]
         stacked = self._stacked(time_constant_s, self._all_values)
@@ -139,37 +129,26 @@ class FreeRunEquations:
     def profiled(self, support: Support) -> tuple[float, float, float]:
         """Return the least squared error over a grid of τ, and the last term's coefficient there.
 
-        Returns
-        -------
-        error, coefficient, information : float
-            The error at the vertex of the parabola through the logarithms of the least three, for
-            where it falls by ten from one τ to the next a parabola through them falls below zero;
-            the inverse of the coefficient's variance for errors of variance one.
+        The error is that at the vertex of the parabola through the logarithms of the least three,
+        for where it falls by ten from one τ to the next a parabola through them falls below zero.
+        Last comes the inverse of the coefficient's variance for errors of variance one.
         """
-        grid, triangles = self._scan
-        n = self.nuisance.shape[1]
-        wanted = [*range(n), *(n + i for i in support)]
-        errors = np.array([_cost(each[:, wanted], each[:, -1]) for each in triangles])
-        at = int(np.clip(np.argmin(errors), 1, grid.size - 2))
+        wanted, errors = self._errors(support)
+        at = int(np.clip(np.argmin(errors), 1, errors.size - 2))
         below, error, above = np.log(np.maximum(errors[at - 1 : at + 2], 1e-300))
         bend = below + above - 2.0 * error
         if bend > 0.0 and error <= min(below, above):
             error -= (above - below) ** 2 / (8.0 * bend)
-        best = triangles[int(np.argmin(errors))]
+        best = self._scan[1][int(np.argmin(errors))]
         before = best[:, wanted[:-1]]
         last = _projected(best[:, [wanted[-1]]], before)[:, 0]
         information = max(float(last @ last), 1e-300)
         return float(np.exp(error)), float(last @ best[:, -1]) / information, information
 
     def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
-        """Return the scored rows of each cycle, counted among the scored.
+        """Return the scored rows of each cycle, counted among the scored, by its number a row.
 
-        Parameters
-        ----------
-        cycles : ndarray of int of shape (n_rows,)
-            Number of the cycle of each row.
-        time_constant_s : float
-            τ in seconds: no cycle is cut into parts of fewer than two of it.
+        No cycle is cut into parts of fewer than two time constants.
         """
         numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
         within = Segments.from_labels(numbers, self.scored.size)
@@ -211,13 +190,15 @@ class FreeRunEquations:
         stacks = [self._stacked(float(tau), self._all_values) for tau in grid]
         return grid, [np.asarray(np.linalg.qr(stack, mode="r")) for stack in stacks]
 
-    def _scanned(self, support: Support) -> tuple[float, float]:
-        """Return the neighbours of the best τ of the grid."""
-        grid, triangles = self._scan
+    def _errors(self, support: Support) -> tuple[list[int], FloatArray]:
+        """Return the columns of nuisances and some terms, and their squared error at each τ."""
         n = self.nuisance.shape[1]
         wanted = [*range(n), *(n + i for i in support)]
-        costs = [_cost(triangle[:, wanted], triangle[:, -1]) for triangle in triangles]
-        best = int(np.argmin(costs))
+        return wanted, np.array([_cost(each[:, wanted], each[:, -1]) for each in self._scan[1]])
+
+    def _scanned(self, support: Support) -> tuple[float, float]:
+        """Return the neighbours of the best τ of the grid."""
+        grid, best = self._scan[0], int(np.argmin(self._errors(support)[1]))
         return float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
 
     def _end(self, values: FloatArray, within: tuple[float, float]) -> float:

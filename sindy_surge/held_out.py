@@ -99,12 +99,7 @@ def _leverage(design: FloatArray, rows: IndexArray) -> float:
 def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Support]:
     """Return the complete polynomials from degree 1 up to a cubic, smallest first.
 
-    Parameters
-    ----------
-    degrees : sequence of int or None
-        Total degree of each usable term; None for a term that is no polynomial.
-    max_terms : int
-        Largest structure considered.
+    By the total degree of each usable term, None for one that is no polynomial.
     """
     known = [degree for degree in degrees if degree is not None]
     if not {0, 1} <= set(known):

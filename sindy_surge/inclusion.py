@@ -28,7 +28,10 @@ def inclusion_probabilities(
     rng: np.random.Generator,
     required: Sequence[int] = (),
 ) -> FloatArray:
-    """Bootstrap over blocks of rows: draw as many as there are, with replacement, choose again.
+    """Return the share of resamples whose structure holds each usable term.
+
+    Bootstrap over blocks of rows: as many as there are, from `segments.block_slices`, are drawn
+    with replacement, and the choice is made again; nan if no equation lies in the blocks.
 
     In each resample the nuisances are projected out, and of the best structures about the whole
     record the one of least χ²/s² + penalty · size is taken, s² being the variance that all terms
@@ -37,20 +40,6 @@ def inclusion_probabilities(
     often than in new records: the noise of the record at hand is part of what a resample takes for
     true.
 
-    Parameters
-    ----------
-    blocks : sequence of slice
-        Rows of the record, from `segments.block_slices`. Their order does not matter; equations of
-        rows in none of them are not used.
-
-    Returns
-    -------
-    ndarray of shape (n_columns,)
-        Share of the resamples whose structure holds each usable term; nan if no equation lies in
-        the blocks.
-
-    Notes
-    -----
     A Gram matrix squares the condition number, which reaches 1e10 between the terms. So the
     equations are first factored as Q R over all rows, the blocks are summed up as Grams of Q, which
     is orthogonal, and a resample with Gram G = L L' of Q is the regression on L' R.

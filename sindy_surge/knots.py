@@ -42,13 +42,9 @@ def moved_knots(
     """Look for a structure with hinges off the grid that beats a structure found on it.
 
     About the fit, the library is widened by a fine grid of hinges. A structure with such hinges
-    pays for each twice, for the term and for its knot. The best one is fitted by itself while
-    its knots move.
-
-    Returns
-    -------
-    tuple of MovedKnot
-        The hinges to be added to the library; empty if none is worth it, or with several inputs.
+    pays for each twice, for the term and for its knot. The best one is fitted by itself while its
+    knots move. Returned are the hinges to be added to the library; none if none is worth it, or
+    with several inputs.
     """
     if problem.inputs.shape[1] > 1:
         return ()
@@ -102,14 +98,9 @@ def _knots_of(problem: LagProblem) -> dict[int, float]:
 
 
 def with_hinges(problem: LagProblem, knots: Sequence[float]) -> tuple[LagProblem, dict[int, int]]:
-    """Widen the library of a problem by hinges.
+    """Widen the library of a problem by hinges, and return the new position of every usable term.
 
-    Returns
-    -------
-    wide : LagProblem
-        With the hinges behind its terms of the inputs; they take the place of such added before.
-    place : dict of int to int
-        New position of every usable term.
+    They stand behind its terms of the inputs, and take the place of such added before.
     """
     terms = problem.terms.with_hinges(knots)
     edge, n_new = problem.terms.n_without_state, len(knots)
@@ -183,10 +174,7 @@ def _round_within(value: float, stderr: float) -> float:
 def knot_columns(problem: LagProblem, fit: StructureFit, knots: Sequence[MovedKnot]) -> FloatArray:
     """Return the whitened derivatives of a fit with respect to its moved knots.
 
-    Returns
-    -------
-    ndarray of shape (n_white, n_chosen)
-        One column for each moved knot whose hinge is in the structure.
+    One column for each moved knot whose hinge is in the structure.
     """
     first = problem.n_without_state - len(knots)
     columns = []

@@ -124,12 +124,8 @@ def equations_about(
 def noise_in_inputs(problem: LagProblem, eq: Equations, point: Point) -> FloatArray:
     """Return the expected noise of the inputs given the residual, -σ_φ² D Bᵀ T⁻¹ A e.
 
-    Five standard deviations at most: a structure that is far off blames more on its inputs than
-    any noise can do, and the terms would be evaluated outside their range.
-
-    Returns
-    -------
-    ndarray of shape (n_rows, n_inputs)
+    Five standard deviations at most: a structure that is far off blames more on its inputs than any
+    noise can do, and the terms would be evaluated outside their range.
     """
     lag = problem.lag(point.time_constant_s, point.dead_time_s)
     at = problem.usable.ends - lag.whole_samples

@@ -82,17 +82,11 @@ def fit_structure(
 ) -> StructureFit:
     """Fit τ and β of given terms by Gauss-Newton on the whitened free run.
 
-    Each step also re-estimates the noise within φ, builds the terms at φ without it (φ itself
-    is never smoothed) and renews the whitening.
+    Each step also re-estimates the noise within φ, builds the terms at φ without it (φ itself is
+    never smoothed) and renews the whitening.
 
-    Parameters
-    ----------
-    tau_s : float
-        Start value of τ in seconds.
-    beta : ndarray of shape (n_support,) or None
-        Start values of the coefficients; None solves for them first (terms without ψ' only).
-    near : StructureFit or None
-        A fit of the same problem to start from: its dead time and its simulated ψ'.
+    The search starts from a τ in seconds and from β, which is solved for first where it is not
+    given (terms without ψ' only); a fit ``near``, of the same problem, gives it dead time and ψ'.
     """
     tau = _bounded(problem, tau_s)
     if beta is None:
@@ -159,10 +153,7 @@ def refitted(problem: LagProblem, fit: StructureFit, max_steps: int = _MAX_STEPS
 def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
     """Take one step from a point, cut short at the bounds of τ and of the dead time.
 
-    Parameters
-    ----------
-    change : ndarray of shape (n_parameters,)
-        The step, in the order of `StructureFit.sensitivity`.
+    The change is in the order of the columns of `StructureFit.sensitivity`.
     """
     size = point.coefficients.size
     tau, step = point.time_constant_s, float(change[-1])
@@ -192,13 +183,9 @@ def information(problem: LagProblem, fit: StructureFit) -> FloatArray:
     """Return the information of a fit: how fast its score falls when a parameter moves.
 
     The whitened derivatives alone hold the estimated noise of φ still. It moves with the
-    parameters, so that less is known of them: at 5 % noise the errors of a reverse-flow branch
-    came out a quarter too small.
-
-    Returns
-    -------
-    ndarray of shape (n_parameters, n_parameters)
-        -d(score)/d(parameters), symmetric, with the prior; in the order of `fit.sensitivity`.
+    parameters, so that less is known of them: at 5 % noise the errors of a reverse-flow branch came
+    out a quarter too small. The matrix -d(score)/d(parameters), symmetric, with the prior, is in
+    the order of `fit.sensitivity`.
     """
     fixed = fit.sensitivity.T @ fit.sensitivity + np.diag(fit.prior)
     if not np.any(problem.noise.inputs > 0.0):
@@ -264,13 +251,10 @@ def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
 
 
 def plain_free_run(problem: LagProblem, values: FloatArray | None = None) -> FreeRunEquations:
-    """Return the free run of terms at the measured inputs, all noise in ψ'.
+    """Return the free run of terms (n_rows, n_terms) at the measured inputs, all noise in ψ'.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_terms), optional
-        The terms; the simplest of the library by default: six follow any characteristic well
-        enough to find the basin of τ.
+    By default of the simplest of the library: six follow any characteristic well enough to find the
+    basin of τ.
     """
     if values is None:
         most = min(6, max(1, problem.usable.later.size // 4), problem.n_without_state)

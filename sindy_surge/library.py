@@ -28,17 +28,12 @@ class StallLibrary:
     """pysindy's polynomials, and terms of a compressor characteristic for each input on its own.
 
     `relu(phi-k)` is a kink at k (max(φ - k, 0)); `phi^2[phi<0]` the reverse-flow branch; and
-    `exp(-phi/s)` the fall of the unstalled line. φ|φ| is left out: it equals
-    φ² - 2 φ²[φ<0], so it would be an exact alias. The fits evaluate the library hundreds of times,
-    a few terms at a time, hence plain arrays and products in place of powers.
+    `exp(-phi/s)` the fall of the unstalled line. φ|φ| is left out: it equals φ² - 2 φ²[φ<0], so it
+    would be an exact alias. The fits evaluate the library hundreds of times, a few terms at a time,
+    hence plain arrays and products in place of powers.
 
-    Parameters
-    ----------
-    degree : int
-        Highest total degree of the polynomials.
-    knots, scales : sequence of sequences of float
-        Knots of the hinges and decay scales of the exponentials, one sequence for each input;
-        empty for polynomials alone.
+    ``degree`` is the highest total degree of the polynomials; knots k and scales s are one sequence
+    for each input, and without them there are polynomials alone.
     """
 
     def __init__(
@@ -101,15 +96,7 @@ class StallLibrary:
 
 
 def monomials(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
-    """Return Π_j x_j^p_ij of shape (n_rows, n_terms).
-
-    Parameters
-    ----------
-    x : ndarray of shape (n_rows, n_inputs)
-        The factors.
-    powers : ndarray of int of shape (n_terms, n_inputs)
-        Their exponents.
-    """
+    """Return Π_j x_j^p_ij (n_rows, n_terms) of factors (n_rows, n), exponents (n_terms, n)."""
     columns = np.ones((x.shape[0], len(powers)), order="F")
     # Products, one degree after the other: numpy's power takes ten times as long.
     chains = np.ones((int(powers.max(initial=0)) + 1, *x.T.shape))
@@ -140,19 +127,12 @@ def hinge_name(name: str, knot: float) -> str:
 
 
 def default_knots(phi: FloatArray, noise: float = 0.0) -> tuple[float, ...]:
-    """Return round numbers inside the range of φ, where a hinge may sit.
+    """Return round numbers inside the range of φ, where a hinge may sit; none if it is constant.
 
-    The step is the largest of 1, 2.5, 5 times a power of ten that is at most a sixth of the
-    range: 0.05 both for a surge record in stall (-0.03 to 0.27) and for a whole surge cycle
-    (-0.04 to 0.51). A knot needs two per cent of the samples on either side, beyond the reach of
-    noise: a hinge at the very end of the range fits the errors of its ends.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n_rows,)
-        Flow coefficient; there are no knots if it is constant.
-    noise : float
-        Standard deviation of its noise.
+    The step is the largest of 1, 2.5, 5 times a power of ten that is at most a sixth of the range:
+    0.05 both for a surge record in stall (-0.03 to 0.27) and for a whole surge cycle (-0.04 to
+    0.51). A knot needs two per cent of the samples on either side, beyond the reach of noise, whose
+    standard deviation is given: a hinge at the very end of the range fits the errors of its ends.
     """
     step = _round_step(phi)
     if step == 0.0:
@@ -177,14 +157,9 @@ def _round_step(phi: FloatArray) -> float:
 
 
 def default_library(X: FloatArray) -> StallLibrary:
-    """Build the library of candidate terms that suits the range of the data.
+    """Build the library of candidate terms that suits the ranges of inputs (n_rows, n_inputs).
 
     Polynomials, hinges, the reverse-flow branch and exponentials: at least 15 terms for one input.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs; only their ranges are used.
     """
     n_inputs, degree = X.shape[1], _DEGREE
     while degree > 1 and comb(n_inputs + degree, degree) > _MAX_POLYNOMIAL_TERMS:

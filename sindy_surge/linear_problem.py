@@ -76,16 +76,10 @@ def without_nuisances(
     target: FloatArray,
     n_equations: int | None = None,
 ) -> LinearProblem:
-    """Project out what is estimated beside the terms, and compress by QR.
+    """Project out columns that are in every structure, and compress by QR.
 
-    Parameters
-    ----------
-    nuisances : ndarray of shape (n_rows, n_nuisances)
-        Columns that are in every structure.
-    columns, target : ndarray of shape (n_rows, n_columns) and (n_rows,)
-        Every usable term, and what they have to explain.
-    n_equations : int or None
-        Number of equations that the rows stand for; None takes one each.
+    The rows, of every usable term and of what they have to explain, stand for so many equations:
+    one each if that is not given.
     """
     n = nuisances.shape[1]
     stacked = np.column_stack((nuisances, columns, target))

@@ -51,22 +51,9 @@ class Whitener:
     Cholesky factor whitens a column in O(N). Leaving out the first row of each run is the
     same as a free initial state.
 
-    Parameters
-    ----------
-    lag : FirstOrderLag
-        The lag, whose taps the inputs pass.
-    slopes : ndarray of shape (n_inputs, n_rows)
-        dψ'_QS/dφ along the record.
-    noise : NoiseLevels
-        The noise.
-    segments : Segments
-        The runs of usable rows.
-    rows : ndarray of int of shape (n_usable,)
-        Row of the record of each usable row.
-    ahead, behind : ndarray of shape (n_equations,) or float
-        p and q.
-    doubt : ndarray of shape (n_equations,) or float
-        Standard deviation of what single equations are wrong by, beside the noise.
+    ``slopes`` (n_inputs, n_rows) are d along the record, ``rows`` those of the record that are
+    usable, in runs ``segments``; ``ahead`` and ``behind`` are p and q of each equation, or of all,
+    and ``doubt`` is the standard deviation of what single equations are wrong by beside the noise.
     """
 
     def __init__(
@@ -192,12 +179,8 @@ def refine_noise(
 def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> FloatArray:
     """Fit an autoregression to a whitened residual by Burg's method, order by BIC.
 
-    No sum reaches across two runs of rows, `groups`.
-
-    Returns
-    -------
-    ndarray of shape (order,)
-        Coefficients of w[k] = Σ α_i w[k-i] + white; empty when order 0 wins.
+    No sum reaches across two runs of rows, `groups`. Returned are the coefficients of
+    w[k] = Σ α_i w[k-i] + white; none when order 0 wins.
     """
     pieces = [white[rows] for rows in groups.slices() if rows.stop - rows.start > 1]
     if not pieces:

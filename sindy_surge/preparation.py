@@ -55,14 +55,8 @@ def prepare(
     """Find τ's basin, the noise levels and their colour, and the dead time; fit all terms.
 
     A channel that is late by a sample moves τ by a fifth and fakes terms with ψ', and coloured
-    noise fakes terms of φ: both are tested for before any structure is read.
-
-    Parameters
-    ----------
-    required : tuple of int
-        Terms that every structure holds.
-    may_be_late : bool
-        Test for a dead time, and fit it where it shows.
+    noise fakes terms of φ: both are tested for before any structure is read. Every structure holds
+    the ``required`` terms.
     """
     tau = float(plain_free_run(problem).solve_all().parameters[-1])
     problem = _screened(problem, tau, required)

@@ -137,16 +137,7 @@ def best_of_equation(
 ) -> list[tuple[float, Support]]:
     """Return the scores of the best supports of each size of one equation, beside terms kept.
 
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression on all terms about a fit.
-    equation, kept : tuple of int
-        The terms that are chosen among, and those that are in every support.
-    price : float
-        What a term costs, in χ².
-    most : int, optional
-        Largest number of terms of the equation.
+    A term costs ``price``, in χ²; the equation has ``most`` terms.
     """
     rest, variance = linear.beside(kept, equation), linear.variance
     found = [(rest.chi2(()) / variance + price * len(kept), kept)]
@@ -165,13 +156,8 @@ def best_of_equation(
 def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
     """Run a pysindy optimizer on the compressed problem and collect the supports on its path.
 
-    The columns have unit norm and the ridge is switched off for the optimizers called by name:
-    it would swamp columns this small, and a raw threshold would never prune.
-
-    Raises
-    ------
-    InputError
-        If `optimizer` is neither a known name nor something that fits.
+    The columns have unit norm and the ridge is switched off for the optimizers called by name: it
+    would swamp columns this small, and a raw threshold would never prune.
     """
     found: set[Support] = set()
     for candidate in _optimizers(optimizer, linear):

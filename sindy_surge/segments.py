@@ -23,20 +23,7 @@ class Segments:
 
     @classmethod
     def from_labels(cls, labels: ArrayLike | None, n_rows: int) -> Segments:
-        """Cut the rows wherever the label changes.
-
-        Parameters
-        ----------
-        labels : array-like of shape (n_rows,) or None
-            Integer label of each row; None makes all rows one segment.
-        n_rows : int
-            Number of rows.
-
-        Raises
-        ------
-        InputError
-            If the labels are not one integer a row.
-        """
+        """Cut the rows wherever the integer label changes; without labels they are one segment."""
         values = np.zeros(n_rows) if labels is None else np.asarray(labels)
         number = np.issubdtype(values.dtype, np.number)
         if not (number and np.all(np.isfinite(values)) and np.all(values == np.round(values))):

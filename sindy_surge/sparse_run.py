@@ -75,10 +75,8 @@ def select_on_free_run(
     ----------
     equations : FreeRunEquations
         The candidate terms, what is in every structure, ψ' and which rows are scored.
-    names : sequence of str
-        Names of the candidate terms.
-    degrees : sequence of int or None
-        Total degree of each; None for a term that is no polynomial.
+    names, degrees : sequence of str and of int or None
+        Names and total degrees of the candidate terms; None for one that is no polynomial.
     cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
     judged : FreeRunEquations, optional
@@ -91,11 +89,6 @@ def select_on_free_run(
     common_tau_share, common_curve_share : float
         Standard errors that all cycles share, as shares of τ and of the mean of abs(ψ') over the
         scored rows: no jackknife over cycles sees them.
-
-    Returns
-    -------
-    SparseRun
-        The terms with τ, β and their covariance.
     """
     columns = equations.columns
     most = min(max_terms, columns.shape[1])

@@ -91,18 +91,8 @@ def physical_form(
     """Write a model that was found in z = (ψ' - c)/s in ψ' itself.
 
     γ z^p φ^q expands to γ s^-p Σ_i C(p, i) (-c)^(p-i) ψ'^i φ^q. What falls to ψ' itself, L ψ',
-    joins the lag: τ dψ'/dt + (1 - L) ψ' = …, which is divided by 1 - L.
-
-    Parameters
-    ----------
-    coefficients : ndarray of shape (n_terms,)
-        Their coefficients, those of terms with ψ' in z.
-    time_constant_s : float
-        τ in seconds.
-    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of the coefficients and, last, τ.
-    states : ProductStateTerms or None
-        The terms with ψ'.
+    joins the lag: τ dψ'/dt + (1 - L) ψ' = …, which is divided by 1 - L. The covariance is that of
+    the coefficients, those of terms with ψ' in z, and, last, τ.
     """
     if states is None or not set(names) & set(states.names):
         return PhysicalForm(tuple(names), coefficients, time_constant_s, covariance)

@@ -56,25 +56,13 @@ class EquationParts:
 
 
 def uncertain(value: float, stderr: float) -> str:
-    """Round a value to its standard error, e.g. ``1.21(4)``; six digits without one.
-
-    Parameters
-    ----------
-    value, stderr : float
-        The value and its standard error.
-    """
+    """Round a value to its standard error, e.g. ``1.21(4)``; six digits without one."""
     known = math.isfinite(value) and math.isfinite(stderr) and stderr > _EXACT * abs(value)
     return bracketed(value, stderr) if known else f"{value:.6g}"
 
 
 def signed_sum(terms: Sequence[tuple[str, float, float]]) -> str:
-    """Write a sum of terms, each coefficient rounded to its error.
-
-    Parameters
-    ----------
-    terms : sequence of (str, float, float)
-        Name, coefficient and standard error.
-    """
+    """Write a sum of terms (name, coefficient, standard error), each rounded to its error."""
     text = ""
     for name, value, error in terms:
         sign = "−" if value < 0 else "+"
@@ -85,18 +73,7 @@ def signed_sum(terms: Sequence[tuple[str, float, float]]) -> str:
 
 
 def write_equation(parts: EquationParts) -> str:
-    """Write τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') with its numbers, rounded to their errors.
-
-    Parameters
-    ----------
-    parts : EquationParts
-        Terms, coefficients and times.
-
-    Returns
-    -------
-    str
-        The equation, as text with its units.
-    """
+    """Write τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') with its units, rounded to errors."""
     tau = uncertain(parts.time_constant_s, parts.time_constant_stderr_s)
     dead = uncertain(abs(parts.dead_time_s), parts.dead_time_stderr_s)
     late = "−" if parts.dead_time_s >= 0 else "+"
@@ -116,24 +93,9 @@ def write_equation(parts: EquationParts) -> str:
 def pysindy_equations(parts: EquationParts, precision: int = 3) -> list[str]:
     """Write dψ'/dt as ``SINDy.equations`` does: −ψ'/τ + Σ (β_i/τ) s_i, in 1/s.
 
-    Parameters
-    ----------
-    parts : EquationParts
-        Terms, coefficients and times.
-    precision : int
-        Decimals of a coefficient as in pysindy, and as many significant digits where the
-        decimals alone would round it away.
-
-    Returns
-    -------
-    list of str
-        One equation, e.g. ``-55.556 psi_p + 19.444 1 + 66.667 phi``; a delayed input is
-        written ``phi(t-0.002)``, t in seconds.
-
-    Raises
-    ------
-    InputError
-        For a static fit, which has no rate, or a precision below 1.
+    E.g. ``-55.556 psi_p + 19.444 1 + 66.667 phi``; a delayed input is written ``phi(t-0.002)``, t
+    in seconds. The precision is in decimals as in pysindy, and in as many significant digits where
+    the decimals alone would round a coefficient away. A static fit, which has no rate, is refused.
     """
     whole_number("precision", precision, 1, 15)
     tau = parts.rate_or_refuse()

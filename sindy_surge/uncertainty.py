@@ -21,21 +21,13 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
     H⁻¹ S H⁻¹ with H the information and S the Newey-West sum of the scores up to two time
     constants, each segment on its own. Where the residual is white S is that of the whitened
     equations up to scatter, and is then not taken below it; the inverse information alone is four
-    times too small on coloured residuals. It holds for the terms as chosen: the uncertainty of
-    the choice itself is not in it.
+    times too small on coloured residuals. It holds for the terms as chosen: the uncertainty of the
+    choice itself is not in it.
 
-    Parameters
-    ----------
-    known : ndarray of shape (n_sensitivities, n_sensitivities) or None
-        Information H in the order of the columns of `fit.sensitivity`, from
-        `lag_fit.information`; None takes that of the whitened equations.
-
-    Returns
-    -------
-    ndarray of shape (n_parameters, n_parameters)
-        Covariance of the coefficients, of what stands between them and τ in `fit.sensitivity` but
-        the bend (moved knots, the dead time), and of τ in the last row and column; nan for
-        parameters on which no equation depends.
+    H is ``known`` from `lag_fit.information`, in the order of the columns of `fit.sensitivity`, or
+    that of the whitened equations. The covariance is that of the coefficients, of what stands
+    between them and τ there but the bend (moved knots, the dead time), and last of τ; nan for
+    parameters on which no equation depends.
     """
     columns, residual = fit.sensitivity, fit.residual
     n = residual.size

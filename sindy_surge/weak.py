@@ -28,17 +28,8 @@ def half_width_samples(
 ) -> int | None:
     """Return the half width in samples: 2 τ, never more than the segments allow.
 
-    Half of the rows must lie in segments that hold at least one whole test function; with
-    segments too short for a half width of 4 samples the answer is None.
-
-    Parameters
-    ----------
-    segments : Segments
-        The runs of rows.
-    time_constant_s : float
-        A guess at τ in seconds.
-    sample_period_s : float
-        Sample period in seconds.
+    Half of the rows must lie in segments that hold at least one whole test function; with segments
+    too short for a half width of 4 samples the answer is None.
     """
     lengths = np.sort(segments.lengths)[::-1]
     # The longest width that still leaves half of all rows in segments long enough.
@@ -116,19 +107,10 @@ class WeakEquations:
         return cls.integrate(problem.output, values, segments, half_width, period)
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Regress ψ' on dψ'/dt and some terms.
+        """Regress ψ' on dψ'/dt and some terms: β with τ in seconds last, the design, what is left.
 
-        dψ'/dt stands on the right, so that what is left is an error of ψ'. Put the other way
-        round, τ came out 5 to 20 ms too high on records of the simulated rig.
-
-        Returns
-        -------
-        parameters : ndarray of shape (n_support + 1,)
-            β, and last τ in seconds.
-        design : ndarray of shape (n_weak, n_support + 1)
-            Derivatives of the fitted values.
-        residual : ndarray of shape (n_weak,)
-            What is left.
+        dψ'/dt stands on the right, so that what is left is an error of ψ'. Put the other way round,
+        τ came out 5 to 20 ms too high on records of the simulated rig.
         """
         design = np.column_stack((self.columns[:, list(support)], -self.derivative))
         parameters = least_squares(design, self.signal)

@@ -49,29 +49,14 @@ class Field:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table of a value.
+    """A table of a value."""
 
-    Parameters
-    ----------
-    title : str
-        What the rows are.
-    header : tuple of str
-        Name of each column.
-    rows : tuple of tuple of str
-        The cells; the first of each row names it.
-    words : frozenset of int
-        Columns of words; all others are numbers.
-    marked : int or None
-        Index of the row to look at first.
-    folded : bool
-        Whether a notebook shows only the title until it is opened, and a terminal nothing more.
-    """
-
-    title: str
+    title: str  # What the rows are
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: frozenset[int] = frozenset({0})
-    marked: int | None = None
+    rows: tuple[tuple[str, ...], ...]  # The cells; the first of each row names it
+    words: frozenset[int] = frozenset({0})  # Columns of words; all others are numbers
+    marked: int | None = None  # Index of the row to look at first
+    # Whether a notebook shows only the title until it is opened, and a terminal nothing more
     folded: bool = False
 
     def lines(self) -> list[str]:

@@ -17,21 +17,6 @@ Hold = Literal["zero", "first"]
 class FirstOrderLag:
     """τ dx/dt + x = f sampled with period h: ``x[k] = a x[k-1] + Σ_i taps[i] f[k-m-i]``.
 
-    Parameters
-    ----------
-    tau_s : float
-        Time constant, in seconds.
-    sample_period_s : float
-        Sample period h, in seconds.
-    hold : {"zero", "first"}
-        ``"zero"``: f[k] acts from k to k+1 (paper, Eq 9-11 to the letter). ``"first"``: f is a
-        continuous signal, joined by straight lines between its samples.
-    dead_time_s : float
-        How much later f acts, in seconds; any fraction of a sample. Before the first sample f
-        stood at it.
-
-    Notes
-    -----
     a = exp(-h/τ) (paper, Eq 10). Without dead time two samples act. Zero hold: f[k] by 0, f[k-1]
     by 1 - a (Eq 11). First hold, with r = (1 - a) τ/h: f[k] by 1 - r, f[k-1] by r - a, the exact
     response to a ramp. With a dead time of m + δ samples, 0 <= δ < 1, f[k-m], f[k-m-1] and
@@ -41,8 +26,10 @@ class FirstOrderLag:
 
     tau_s: float
     sample_period_s: float
+    # "zero": f[k] acts from k to k+1 (paper, Eq 9-11 to the letter). "first": f is a continuous
+    # signal, joined by straight lines between its samples
     hold: Hold
-    dead_time_s: float = 0.0
+    dead_time_s: float = 0.0  # How much later f acts; any fraction of a sample
 
     @cached_property
     def ratio(self) -> float:
@@ -108,18 +95,14 @@ class FirstOrderLag:
         )
 
     def drive(self, quasi_steady: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return ``Σ_i taps[i] f[k-m-i]`` for k = 1 … n-1, f of shape (n,) or (n, p).
+        """Return ``Σ_i taps[i] f[k-i]`` for k = 1 … n-1, f of shape (n,) or (n, p), not late.
 
         With ``derivative`` 1, its derivative with respect to log τ for the f that is given.
         """
-        taps, m, n = self.taps[derivative], self.whole_samples, quasi_steady.shape[0]
-        if self.dead_time_s == 0.0:
-            before = taps[1] * quasi_steady[:-1]
-            both = before if self.hold == "zero" else before + taps[0] * quasi_steady[1:]
-            return np.asarray(both)
-        rows = np.arange(1, n) - m
-        late = [quasi_steady[np.maximum(rows - back, 0)] for back in range(3)]
-        return np.asarray(taps[0] * late[0] + taps[1] * late[1] + taps[2] * late[2])
+        taps = self.taps[derivative]
+        before = taps[1] * quasi_steady[:-1]
+        both = before if self.hold == "zero" else before + taps[0] * quasi_steady[1:]
+        return np.asarray(both)
 
     def respond(self, quasi_steady: FloatArray, start: FloatArray | float) -> FloatArray:
         """Return the state x for the input f of shape (n,) or (n, p), from its start, in O(n)."""

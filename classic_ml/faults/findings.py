@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from classic_ml.description import PressureChannel, TemperatureChannel
-from classic_ml.records import Record, fault_name
 
 # Kinds of mark in the channels `fault_NAME`, added up where they coincide.
 CLIPPED = 1
@@ -30,9 +26,3 @@ def alike(channels: Iterable[PressureChannel | TemperatureChannel], *keys: str) 
         place = tuple(getattr(channel, key) for key in keys)
         groups.setdefault(place, []).append(channel.name)
     return list(groups.values())
-
-
-def marked_rows(record: Record, channel: str) -> NDArray[np.uint8] | None:
-    """Return the marks of a channel's readings, added up, or None where it has none."""
-    name = fault_name(channel)
-    return record[name].astype(np.uint8, copy=False) if name in record else None

@@ -14,7 +14,6 @@ from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels
-from classic_ml.faults.findings import marked_rows
 from classic_ml.flow import physical_flow
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import LedgerEntry, Record
@@ -120,8 +119,7 @@ def _check_steady(steady: Record, test: TestDescription) -> None:
     """Refuse a near-stall reading that ends in another state than it began."""
     last = round((1.0 - LAST_SHARE) * steady.n_samples)
     for probe in test.pressures:
-        marks = marked_rows(steady, probe.name)
-        if marks is not None and marks.any():
+        if steady.marks(probe.name).any():
             # What is clipped or stuck there is left out when the channels are chosen.
             continue
         values = steady[probe.name]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.faults.findings import alike, marked_rows
+from classic_ml.faults.findings import alike
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 
@@ -53,9 +53,7 @@ def slow_pressures(record: Record, test: TestDescription, window: slice) -> dict
     means = {}
     for name in (probe.name for probe in test.pressures if probe.name in record):
         means[name] = record[name][rows].reshape(n, width).mean(axis=1)
-        marks = marked_rows(record, name)
-        if marks is not None:
-            means[name][np.any(marks[rows].reshape(n, width), axis=1)] = np.nan
+        means[name][np.any(record.marks(name)[rows].reshape(n, width), axis=1)] = np.nan
     return means
 
 

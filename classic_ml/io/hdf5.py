@@ -7,12 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from classic_ml.description import FileLayout
-from classic_ml.io.table import StoredTable, Vector, along, grouped
-
-_UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units")
+from classic_ml.io.table import StoredTable, Vector, along, grouped, stated_unit
 
 
 @contextmanager
@@ -42,17 +38,8 @@ def open_hdf5(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
         if values is None:
             left_aside[name] = "no vector of numbers"
         else:
-            vectors.append(Vector(path, values, _unit(item)))
+            vectors.append(Vector(path, values, stated_unit(item.attrs)))
 
     with h5py.File(file, "r") as handle:
         handle.visititems(visit)
         yield grouped(str(file), vectors, layout, left_aside)
-
-
-def _unit(item: Any) -> str:
-    stated = {str(name).lower(): name for name in item.attrs}
-    for name in _UNIT_ATTRIBUTES:
-        if name in stated:
-            value = np.ravel(np.asarray(item.attrs[stated[name]], dtype=object))[0]
-            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return ""

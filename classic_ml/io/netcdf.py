@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from classic_ml.description import FileLayout
-from classic_ml.io.table import StoredTable, Vector, grouped
+from classic_ml.io.table import StoredTable, Vector, grouped, stated_unit
 
 
 @contextmanager
@@ -40,8 +40,8 @@ def open_netcdf(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
             for name, variable in dataset.variables.items():
                 path = (*above, str(name))
                 if variable.ndim == 1 and variable.size and variable.dtype.kind in "iufb":
-                    unit = variable.attrs.get("units", variable.attrs.get("unit", ""))
-                    vectors.append(Vector(path, variable, str(unit).partition(" since ")[0]))
+                    unit = stated_unit(variable.attrs).partition(" since ")[0]
+                    vectors.append(Vector(path, variable, unit))
                 else:
                     left_aside["/".join(path)] = "no vector of numbers"
         yield grouped(str(file), vectors, layout, left_aside)

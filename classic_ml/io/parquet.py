@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.description import FileLayout
-from classic_ml.io.table import BLOCK_ROWS, Columns, StoredTable
+from classic_ml.io.table import BLOCK_ROWS, Columns, StoredTable, stated_unit
 from surge_core.errors import InputError
 
 
@@ -44,7 +44,7 @@ def open_parquet(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
             str(file),
             tuple(kept),
             read,
-            {name: unit for name in kept if (unit := _unit(fields[name]))},
+            {name: unit for name in kept if (unit := stated_unit(fields[name].metadata or {}))},
             {n: f"a column of {f.type}" for n, f in fields.items() if n not in kept},
         )
 
@@ -54,11 +54,6 @@ def _is_number(kind: Any) -> bool:
 
     tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_decimal)
     return any(test(kind) for test in tests)
-
-
-def _unit(field: Any) -> str:
-    stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
-    return str(stated.get(b"units", stated.get(b"unit", b"")).decode("utf-8", "replace"))
 
 
 def _array(column: Any) -> NDArray[Any]:

@@ -15,6 +15,8 @@ from surge_core.errors import InputError
 
 # Rows that a reader takes at once: 40 MB of 20 channels.
 BLOCK_ROWS = 1 << 18
+# What states the unit of a column, in small letters, in the order in which they are believed.
+UNIT_NAMES = ("units", "unit", "unit_string", "ni_unitdescription", "engineering_units")
 # How many groups a sentence names.
 NAMED = 6
 
@@ -86,6 +88,20 @@ class Vector:
     path: tuple[str, ...]
     values: Any
     unit: str = ""
+
+
+def stated_unit(attributes: Mapping[Any, Any]) -> str:
+    """Return the unit among the attributes of a column, as the formats and their writers name it.
+
+    Capitals are no matter; a text may be of bytes, or stand alone in an array.
+    """
+    text = {n.decode() if isinstance(n, bytes) else str(n): v for n, v in attributes.items()}
+    known = {name.lower(): value for name, value in text.items()}
+    for name in UNIT_NAMES:
+        if name in known:
+            value = np.ravel(np.asarray(known[name], dtype=object))[0]
+            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return ""
 
 
 class _Along:

@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from classic_ml.description import FileLayout
-from classic_ml.io.table import StoredTable, Vector, grouped
+from classic_ml.io.table import StoredTable, Vector, grouped, stated_unit
 from surge_core.errors import InputError
-
-_UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "Unit", "unit", "Units", "units")
 
 
 @contextmanager
@@ -46,10 +44,9 @@ def open_tdms(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
             )
         vectors, left_aside = list[Vector](), dict[str, str]()
         for channel in (channel for group in handle.groups() for channel in group.channels()):
-            stated, path = channel.properties, (channel.group_name, channel.name)
+            path = channel.group_name, channel.name
             if not len(channel) or np.dtype(channel.dtype).kind not in "iufb":
                 left_aside["/".join(path)] = "no vector of numbers"
             else:
-                unit = next((str(stated[name]) for name in _UNIT_PROPERTIES if name in stated), "")
-                vectors.append(Vector(path, channel, unit))
+                vectors.append(Vector(path, channel, stated_unit(channel.properties)))
         yield grouped(str(file), vectors, layout, left_aside)

@@ -11,7 +11,7 @@ same φ. Reversed rows are simulated through.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from surge_core.lag import FirstOrderLag
 from surge_core.types import BoolArray, FloatArray
 
 TAUS_S = np.geomspace(0.004, 0.08, 31)
-# Half the width of the search once τ is known nearly, and of the second difference.
-AROUND, STEP = 0.5, 0.03
+# In log τ, half the width of the search once it is known nearly; and what is at an end of a search.
+AROUND, END = 0.5, 0.03
 # After this much of a piece its start has decayed to a tenth for τ of 10 ms.
 START_S = 0.02
 # Reversed flow is averaged over this much before it is squared, so that noise makes no loss.
@@ -41,61 +41,27 @@ LONGEST_AVERAGE_S = 0.005
 
 @dataclass(frozen=True)
 class Specification:
-    """What a fit takes for granted, each varied for the interval.
+    """What a fit takes for granted, each varied for the interval."""
 
-    Parameters
-    ----------
-    average_s : float
-        Average over ψ' and the inputs alike, applied last.
-    lowest_phi : float
-        φ up to which rows are not scored.
-    guard_s : float
-        How far around such a row no row is scored.
-    blend_s : float
-        Time of the change between the branches.
-    degree : int
-        Of the in-stall characteristic.
-    hinges : bool
-        Whether it may bend above the flow of recovery.
-    moves : bool
-        Whether it moves with N_c, as the unstalled branch does.
-    """
-
-    average_s: float
-    lowest_phi: float
-    guard_s: float
-    blend_s: float = 0.006
-    degree: int = 2
-    hinges: bool = True
-    moves: bool = False
+    average_s: float  # Average over ψ' and the inputs alike, applied last
+    lowest_phi: float  # φ up to which rows are not scored
+    guard_s: float  # How far around such a row no row is scored
+    blend_s: float = 0.006  # Time of the change between the branches
+    degree: int = 2  # Of the in-stall characteristic
+    hinges: bool = True  # Whether that may bend above the flow of recovery
+    moves: bool = False  # Whether it moves with N_c, as the unstalled branch does
 
 
 @dataclass(frozen=True)
 class BranchFit:
-    """A fitted lag over both branches.
-
-    Parameters
-    ----------
-    tau_s : float
-        Time constant.
-    coefficients : ndarray of shape (q,)
-        Of the columns of :func:`design`, those of the in-stall powers first, then the starts.
-    errors : ndarray of shape (m,)
-        On the scored rows.
-    scored : ndarray of bool, shape (n,)
-        Which these are.
-    curvature : float
-        Half the second derivative of the sum of squares over log τ.
-    at_end : bool
-        τ is at an end of what was searched.
-    """
+    """A fitted lag over both branches."""
 
     tau_s: float
+    # (q,): Of the columns of :func:`design`, those of the in-stall powers first, then the starts
     coefficients: FloatArray
-    errors: FloatArray
-    scored: BoolArray
-    curvature: float
-    at_end: bool
+    errors: FloatArray  # (m,): On the scored rows
+    scored: BoolArray  # (n,): Which these are
+    at_end: bool  # τ is at an end of what was searched
 
     @property
     def cost(self) -> float:
@@ -115,17 +81,7 @@ def scored_rows(passes: Passes, spec: Specification) -> BoolArray:
 def design(
     passes: Passes, spec: Specification, in_stall: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the inputs of the lag, of shape (n, q), and ψ', averaged alike.
-
-    Parameters
-    ----------
-    passes : Passes
-        The signals.
-    spec : Specification
-        What is taken for granted.
-    in_stall : ndarray of bool, shape (n,)
-        The state.
-    """
+    """Return the inputs of the lag, of shape (n, q), and ψ', averaged alike."""
     phi, speed = passes.phi, passes.speed
     state = passes.smooth(in_stall.astype(np.float64), spec.blend_s)
     columns = [state * phi**power for power in range(spec.degree + 1)]
@@ -172,39 +128,67 @@ def specification(signals: RakeSignals, passes: Passes, degree: int) -> Specific
     return Specification(average_s, lowest, 0.5 * average_s, degree=degree)
 
 
-def profile(
-    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients and errors of the least squares for a held τ, each piece with a start."""
-    own, scale = _scaled(tau_s, passes, inputs, scored)
-    coefficients = np.asarray(np.linalg.lstsq(own, psi_p[scored], rcond=RANK)[0])
-    return coefficients / scale, psi_p[scored] - own @ coefficients
+def specifications(spec: Specification) -> tuple[Specification, ...]:
+    """Return what could as well have been taken for granted, one thing changed in each."""
+    return (
+        replace(spec, average_s=0.6 * spec.average_s),
+        replace(spec, average_s=1.4 * spec.average_s),
+        replace(spec, lowest_phi=3.0 * spec.lowest_phi),
+        replace(spec, guard_s=2.0 * spec.guard_s),
+        replace(spec, degree=spec.degree + 1),
+        replace(spec, hinges=not spec.hinges),
+        replace(spec, blend_s=0.5 * spec.blend_s),
+        replace(spec, blend_s=1.5 * spec.blend_s),
+        replace(spec, moves=not spec.moves),
+    )
 
 
-def least_error(
-    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
-) -> float:
-    """Return the mean square error of :func:`profile`, by the normal equations: five times quicker.
+@dataclass(frozen=True)
+class FreeRun:
+    """A free run, linear in all but τ: the inputs of the lag and ψ', averaged alike."""
 
-    Where the coefficients are not asked for, what a bad condition costs is far below the noise.
-    """
-    own, _ = _scaled(tau_s, passes, inputs, scored)
-    measured = psi_p[scored]
-    values, vectors = np.linalg.eigh(own.T @ own)
-    seen = values > NORMAL_RANK * values[-1]
-    along = vectors[:, seen].T @ (own.T @ measured)
-    explained = float(np.sum(along**2 / values[seen]))
-    return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+    passes: Passes
+    inputs: FloatArray
+    psi_p: FloatArray
+    scored: BoolArray
 
+    @classmethod
+    def of(
+        cls,
+        passes: Passes,
+        spec: Specification,
+        in_stall: BoolArray,
+        scored: BoolArray | None = None,
+    ) -> FreeRun:
+        """Set up a run that is scored on all rows that could be, if no others are given."""
+        scored = scored_rows(passes, spec) if scored is None else scored
+        return cls(passes, *design(passes, spec, in_stall), scored)
 
-def _scaled(
-    tau_s: float, passes: Passes, inputs: FloatArray, scored: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the scored rows of the answers, and what their columns were divided by."""
-    answers = responses(tau_s, passes, inputs)
-    # By all rows: a column may be nothing in those that are scored.
-    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-    return answers[scored] / scale, scale
+    def profile(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return coefficients and errors of the least squares for a τ, each piece with a start."""
+        own, scale = self._scaled(tau_s)
+        measured = self.psi_p[self.scored]
+        coefficients = np.asarray(np.linalg.lstsq(own, measured, rcond=RANK)[0])
+        return coefficients / scale, measured - own @ coefficients
+
+    def least_error(self, tau_s: float) -> float:
+        """Return the mean square error of that, by the normal equations: five times quicker.
+
+        Where the coefficients are not asked for, what a bad condition costs is far below the noise.
+        """
+        own, measured = self._scaled(tau_s)[0], self.psi_p[self.scored]
+        values, vectors = np.linalg.eigh(own.T @ own)
+        seen = values > NORMAL_RANK * values[-1]
+        along = vectors[:, seen].T @ (own.T @ measured)
+        explained = float(np.sum(along**2 / values[seen]))
+        return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+
+    def _scaled(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the scored rows of the answers, and what their columns were divided by."""
+        answers = responses(tau_s, self.passes, self.inputs)
+        # By all rows: a column may be nothing in those that are scored.
+        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+        return answers[self.scored] / scale, scale
 
 
 def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:
@@ -226,39 +210,24 @@ def fit_branches(
     scored: BoolArray | None = None,
     near_s: float | None = None,
 ) -> BranchFit:
-    """Fit τ and both branches.
+    """Fit τ and both branches, on ``scored`` rows in place of all that could be.
 
-    Parameters
-    ----------
-    passes : Passes
-        The signals.
-    spec : Specification
-        What is taken for granted.
-    in_stall : ndarray of bool, shape (n,)
-        The state.
-    scored : ndarray of bool, shape (n,), optional
-        Rows that are scored, in place of all that could be.
-    near_s : float, optional
-        Where τ is known nearly, in seconds.
+    The search stays near ``near_s`` where τ is known nearly.
     """
     from scipy.optimize import minimize_scalar
 
-    inputs, psi_p = design(passes, spec, in_stall)
-    keep = scored_rows(passes, spec) if scored is None else scored
+    run = FreeRun.of(passes, spec, in_stall, scored)
 
     def cost(log_tau: float) -> float:
-        return least_error(math.exp(log_tau), passes, inputs, psi_p, keep) * int(keep.sum())
+        return run.least_error(math.exp(log_tau)) * int(run.scored.sum())
 
     if near_s is None:
-        costs = [cost(math.log(tau_s)) for tau_s in TAUS_S]
-        best = int(np.argmin(costs))
+        best = int(np.argmin([run.least_error(tau_s) for tau_s in TAUS_S]))
         ends = TAUS_S[max(best - 1, 0)], TAUS_S[min(best + 1, TAUS_S.size - 1)]
     else:
         ends = near_s * math.exp(-AROUND), near_s * math.exp(AROUND)
     low, high = math.log(ends[0]), math.log(ends[1])
     log_tau = float(minimize_scalar(cost, bounds=(low, high), options={"xatol": 2e-4}).x)
-    coefficients, errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)
-    sides = cost(log_tau + STEP) + cost(log_tau - STEP) - 2.0 * cost(log_tau)
-    curvature = 0.5 * sides / STEP**2
-    at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < STEP
-    return BranchFit(math.exp(log_tau), coefficients, errors, keep, curvature, at_end)
+    coefficients, errors = run.profile(math.exp(log_tau))
+    at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < END
+    return BranchFit(math.exp(log_tau), coefficients, errors, run.scored, at_end)

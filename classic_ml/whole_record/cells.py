@@ -7,9 +7,8 @@ averaged over a period of the cells, which would smear the passes that hold τ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from classic_ml.filters import period_average
 from classic_ml.whole_record.rakes import Planes, RakeSignals
@@ -29,17 +28,7 @@ RIDGE = 1e-3
 def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     """Return the frequency of the strongest line in the difference of two rakes.
 
-    Parameters
-    ----------
-    signals : RakeSignals
-        The record.
-    rows : ndarray of bool, shape (n,)
-        Rows that count.
-
-    Returns
-    -------
-    float or None
-        None without a second rake or without rows enough.
+    None without a second rake, or without enough ``rows`` that count.
     """
     from scipy.signal import welch
 
@@ -62,66 +51,35 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     return float(frequency[top] + move * (frequency[1] - frequency[0]))
 
 
-@dataclass(frozen=True)
-class _Taps:
-    """The rake differences of a plane at lags of both signs, without what is slower than a cell."""
-
-    columns: FloatArray
-    period_s: float
-    rate_hz: float
-
-    def cells_of(self, average: FloatArray, rows: BoolArray) -> FloatArray:
-        """Return the part of a plane's average that follows the differences, fitted on rows."""
-        quick = average - period_average(average, self.period_s, self.rate_hz)
-        inside = self.columns[rows]
-        normal = inside.T @ inside
-        normal += RIDGE * np.trace(normal) / normal.shape[0] * np.eye(normal.shape[0])
-        return np.asarray(self.columns @ np.linalg.solve(normal, inside.T @ quick[rows]))
-
-
 def without_cells(
     signals: RakeSignals, in_stall: BoolArray, rows: BoolArray, cell_hz: float | None
 ) -> Planes:
-    """Return the planes with the stall cells cancelled.
+    """Return the planes without the stall cells, which are fitted in stall on ``rows`` that count.
 
-    Parameters
-    ----------
-    signals : RakeSignals
-        The record.
-    in_stall : ndarray of bool, shape (n,)
-        Rows in stall, from which the cells are subtracted.
-    rows : ndarray of bool, shape (n,)
-        Rows that count.
-    cell_hz : float or None
-        Frequency of the cells; None leaves the planes as they are.
+    Without a frequency of the cells the planes are left as they are.
     """
     planes = signals.planes()
     fitted = in_stall & rows
     if cell_hz is None or np.count_nonzero(fitted) * signals.sample_period_s < PIECE_S:
         return planes
-    inlet, exit_ = (_taps(signals, plane, cell_hz) for plane in (25, 31))
-
-    def cleaned(average: FloatArray, taps: _Taps | None) -> FloatArray:
-        if taps is None:
-            return average
-        return average - taps.cells_of(average, fitted)
-
-    return Planes(
-        cleaned(planes.corrected_kg_s, inlet),
-        cleaned(planes.inlet_Pa, inlet),
-        cleaned(planes.exit_Pa, exit_),
-    )
-
-
-def _taps(signals: RakeSignals, plane: int, cell_hz: float) -> _Taps | None:
-    differences = signals.cell_differences(plane)
-    if not differences:
-        return None
     period_s, rate_hz = 1.0 / cell_hz, 1.0 / signals.sample_period_s
     reach = round(REACH_PERIODS * period_s * rate_hz)
-    columns = []
-    for difference in differences:
-        quick = difference - period_average(difference, period_s, rate_hz)
-        padded = np.pad(quick, reach)
-        columns.append(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1))
-    return _Taps(np.hstack(columns), period_s, rate_hz)
+
+    def quick(values: FloatArray) -> FloatArray:
+        return values - period_average(values, period_s, rate_hz)
+
+    def cleaned(plane: int, *averages: FloatArray) -> list[FloatArray]:
+        padded = [np.pad(quick(each), reach) for each in signals.cell_differences(plane)]
+        if not padded:
+            return list(averages)
+        # The rake differences at lags of both signs, without what is slower than a cell.
+        taps = np.hstack([sliding_window_view(each, 2 * reach + 1) for each in padded])
+        inside = taps[fitted]
+        normal = inside.T @ inside
+        normal += RIDGE * np.trace(normal) / normal.shape[0] * np.eye(normal.shape[0])
+        shares = [np.linalg.solve(normal, inside.T @ quick(each)[fitted]) for each in averages]
+        return [each - taps @ share for each, share in zip(averages, shares, strict=True)]
+
+    return Planes(
+        *cleaned(25, planes.corrected_kg_s, planes.inlet_Pa), *cleaned(31, planes.exit_Pa)
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.description import Compressor, TestDescription
+from classic_ml.description import Compressor
 from classic_ml.flow import T_STANDARD_K, choked_flow
 from classic_ml.records import LedgerEntry
 from surge_core.types import FloatArray
@@ -16,27 +16,19 @@ STEP = "rakes"
 # Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
 LARGEST_SHARE = 0.98
 _MACHINE = "compressor."
+# What the ledger carries of a pair, in the order of its fields.
+_OF_PAIR = ("slope", "offset", "noise_Pa", "noise_aft_Pa")
 _Parameters = Mapping[str, str | int | float | bool]
 
 
 @dataclass(frozen=True)
 class PairChain:
-    """A forward and an aft probe.
+    """A forward and an aft probe."""
 
-    Parameters
-    ----------
-    name : str
-        Plane, rake and immersion, e.g. ``"25_A_tip"``.
-    slope, offset : float
-        a and b of Eq 2.
-    noise_Pa, noise_aft_Pa : float
-        Standard deviation of the white noise of the two channels.
-    """
-
-    name: str
-    slope: float
+    name: str  # Plane, rake and immersion, e.g. ``"25_A_tip"``
+    slope: float  # a and b of Eq 2
     offset: float
-    noise_Pa: float
+    noise_Pa: float  # Standard deviation of the white noise of the two channels
     noise_aft_Pa: float
 
     @property
@@ -57,40 +49,14 @@ class PairChain:
 
 @dataclass(frozen=True)
 class Chain:
-    """The probe pairs of a record and the constants of Eq 1 to 8.
-
-    Parameters
-    ----------
-    pairs : tuple of PairChain
-        Those that count.
-    areas_m2 : mapping of int to float
-        Flow area of each plane.
-    compressor : Compressor
-        The machine.
-    rotor_speed_rpm, design_corrected_speed_rpm : float
-        Physical speed, and 100 % corrected speed.
-    near_stall_rows : int
-        Rows of the reading to which the channels were matched.
-    """
+    """The probe pairs of a record that count, and the constants of Eq 1 to 8."""
 
     pairs: tuple[PairChain, ...]
-    areas_m2: Mapping[int, float]
+    areas_m2: Mapping[int, float]  # Flow area of each plane
     compressor: Compressor
-    rotor_speed_rpm: float
+    rotor_speed_rpm: float  # Physical speed, and 100 % corrected speed
     design_corrected_speed_rpm: float
-    near_stall_rows: int
-
-    @classmethod
-    def of(cls, test: TestDescription, pairs: tuple[PairChain, ...], near_stall_rows: int) -> Chain:
-        """Take what is needed out of a test description."""
-        return cls(
-            pairs,
-            dict(test.areas_m2),
-            test.compressor,
-            test.rotor_speed_rpm,
-            test.design_corrected_speed_rpm,
-            near_stall_rows,
-        )
+    near_stall_rows: int  # Rows of the reading to which the channels were matched
 
     @property
     def rotor_velocity_m_s(self) -> float:
@@ -120,12 +86,7 @@ class Chain:
         parameters |= {f"area_{plane}_m2": area for plane, area in self.areas_m2.items()}
         parameters |= {f"{_MACHINE}{k}": v for k, v in self.compressor.model_dump().items()}
         for pair in self.pairs:
-            parameters |= {
-                f"{pair.name}.slope": pair.slope,
-                f"{pair.name}.offset": pair.offset,
-                f"{pair.name}.noise_Pa": pair.noise_Pa,
-                f"{pair.name}.noise_aft_Pa": pair.noise_aft_Pa,
-            }
+            parameters |= {f"{pair.name}.{what}": getattr(pair, what) for what in _OF_PAIR}
         did = (
             f"unfiltered flow and total pressure of {len(self.pairs)} probe pairs kept, with what "
             "lies between the air and their readings: the time constant is estimated from these"
@@ -137,13 +98,7 @@ class Chain:
         """Read the chain back from the parameters of its step."""
         names = [name.removesuffix(".slope") for name in given if name.endswith(".slope")]
         pairs = tuple(
-            PairChain(
-                name,
-                *(
-                    float(given[f"{name}.{what}"])
-                    for what in ("slope", "offset", "noise_Pa", "noise_aft_Pa")
-                ),
-            )
+            PairChain(name, *(float(given[f"{name}.{what}"]) for what in _OF_PAIR))
             for name in names
         )
         machine = {k.removeprefix(_MACHINE): v for k, v in given.items() if k.startswith(_MACHINE)}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from classic_ml.filters import period_average
 from classic_ml.free_run import near
+from classic_ml.segments import PLAIN_PERIOD_S, threshold_between
 from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
@@ -24,48 +26,24 @@ LONGEST_QUIET_S, QUIET_KEPT_S, QUIET_END_S = 0.25, 0.1, 0.05
 # Hub and tip change over within half a cell period: shorter episodes are chance.
 SHORTEST_STATE_S = 0.007
 SPEED_AVERAGE_S = 0.02
-# Without cells there is nothing to cancel, and hub and tip are averaged over noise alone.
-PLAIN_PERIOD_S = 0.010
 
 
 @dataclass(frozen=True)
 class Passes:
-    """The signals of a free run, one piece behind the other.
+    """The signals of a free run, arrays of shape (n,), one piece behind the other."""
 
-    Parameters
-    ----------
-    row : ndarray of int, shape (n,)
-        Rows of the record.
-    piece : ndarray of int, shape (n,)
-        Number of the piece of each row, from 0 on; the run starts again in each.
-    phi, psi_p : ndarray of shape (n,)
-        Without the stall cells.
-    speed : ndarray of shape (n,)
-        N_c less its mean.
-    in_stall : ndarray of bool, shape (n,)
-        State by hub and tip alone; where the record does not show it, True.
-    shift : ndarray of shape (n,) or None
-        Hub-minus-tip flow, averaged over one period of the cells.
-    period_s : float
-        That period.
-    sample_period_s : float
-        Sample period.
-    planes : Planes
-        The cleaned planes over the whole record.
-    """
-
-    row: IntArray
-    piece: IntArray
-    phi: FloatArray
+    row: IntArray  # Rows of the record
+    piece: IntArray  # Number of the piece of each row, from 0 on; the run starts again in each
+    phi: FloatArray  # φ and ψ' without the stall cells
     psi_p: FloatArray
-    speed: FloatArray
-    in_stall: BoolArray
-    shift: FloatArray | None
-    period_s: float
+    speed: FloatArray  # N_c less its mean
+    in_stall: BoolArray  # State by hub and tip alone; where the record does not show it, True
+    shift: FloatArray | None  # Hub-minus-tip flow, averaged over one period of the cells
+    period_s: float  # That period
     sample_period_s: float
-    planes: Planes
+    planes: Planes  # The cleaned planes over the whole record
 
-    @property
+    @cached_property
     def pieces(self) -> list[slice]:
         """Rows of each piece."""
         return runs_of(self.piece, self.piece.size)
@@ -82,7 +60,7 @@ class Passes:
         """Return how many samples so many seconds have."""
         return round(seconds / self.sample_period_s)
 
-    @property
+    @cached_property
     def cycle(self) -> IntArray:
         """Number of the surge cycle of each row: from one rise of φ to the next, or a new piece."""
         phi = self.smooth(self.phi, self.period_s)
@@ -99,19 +77,9 @@ class Passes:
 
 
 def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
-    """Choose the rows of a free run and cancel the stall cells in them.
+    """Choose the rows of a free run, within a window if given, and cancel the stall cells in them.
 
-    Parameters
-    ----------
-    signals : RakeSignals
-        The record.
-    window : slice, optional
-        Rows to stay in, where the test names a part of the record.
-
-    Raises
-    ------
-    InputError
-        When the flow never reverses, or no piece is long enough.
+    A record whose flow never reverses is refused, and one without a piece that is long enough.
     """
     rate_hz = 1.0 / signals.sample_period_s
     flow = signals.mean(signals.flow_kg_s, 25)
@@ -166,16 +134,6 @@ def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
         signals.sample_period_s,
         planes,
     )
-
-
-def threshold_between(values: FloatArray) -> float:
-    """Return the value that leaves the least variance on its two sides (Otsu's method)."""
-    ordered = np.sort(values)
-    below = np.arange(1, ordered.size)
-    sums = np.cumsum(ordered)[:-1]
-    gap = (ordered.sum() - sums) / (ordered.size - below) - sums / below
-    best = int(np.argmax(below * (ordered.size - below) * gap**2))
-    return 0.5 * float(ordered[best] + ordered[best + 1])
 
 
 def _first_forward(flow: FloatArray, reversed_: IntArray, rate_hz: float) -> int:

@@ -11,7 +11,7 @@ from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
 from classic_ml.description import TestDescription
 from classic_ml.flow import corrected_flow, mach_from_corrected_flow, physical_flow
-from classic_ml.records import Record, fault_name
+from classic_ml.records import Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
@@ -26,45 +26,24 @@ INLET, COUNTS = "T25_unfiltered_K", "readings_count"
 
 @dataclass(frozen=True)
 class Planes:
-    """Averages over the probe pairs of each plane.
+    """Averages over the probe pairs of each plane."""
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow at plane 25.
-    inlet_Pa, exit_Pa : ndarray of shape (n,)
-        Total pressures P25 and P31.
-    """
-
-    corrected_kg_s: FloatArray
-    inlet_Pa: FloatArray
+    corrected_kg_s: FloatArray  # Corrected flow at plane 25
+    inlet_Pa: FloatArray  # Total pressures P25 and P31
     exit_Pa: FloatArray
 
 
 @dataclass(frozen=True)
 class RakeSignals:
-    """What every probe pair of a record reads, before any filter.
+    """What every probe pair of a record reads, before any filter."""
 
-    Parameters
-    ----------
-    flow_kg_s, total_Pa : mapping of str to ndarray of shape (n,)
-        Corrected flow of the inlet's pairs (Eq 3) and total pressure of all, as in ``"25_A_tip"``.
-    inlet_K : ndarray of shape (n,)
-        T25 with the thermocouples' lag undone.
-    counts : ndarray of bool, shape (n,)
-        Rows in which all readings count.
-    sample_period_s : float
-        Sample period.
-    chain : Chain
-        The pairs and the constants of the machine.
-    """
-
+    # By pair, as in ``"25_A_tip"``: corrected flow of the inlet's (Eq 3), total pressure of all
     flow_kg_s: Mapping[str, FloatArray]
     total_Pa: Mapping[str, FloatArray]
-    inlet_K: FloatArray
-    counts: BoolArray
+    inlet_K: FloatArray  # T25 with the thermocouples' lag undone
+    counts: BoolArray  # Rows in which all readings count
     sample_period_s: float
-    chain: Chain
+    chain: Chain  # The pairs and the constants of the machine
 
     def mean(self, signals: Mapping[str, FloatArray], plane: int) -> FloatArray:
         """Return the average over the rakes at each immersion and then over the immersions."""
@@ -79,12 +58,14 @@ class RakeSignals:
         self, signals: Mapping[str, FloatArray], plane: int, immersion: str
     ) -> FloatArray | None:
         """Return the average over the rakes at one immersion, None without a pair there."""
-        found = [
-            signals[pair.name]
-            for pair in self.chain.of_plane(plane)
-            if pair.immersion == immersion and pair.name in signals
-        ]
+        found = self._alike(signals, plane, immersion)
         return np.asarray(np.mean(found, axis=0)) if found else None
+
+    def _alike(
+        self, signals: Mapping[str, FloatArray], plane: int, immersion: str
+    ) -> list[FloatArray]:
+        pairs = [pair for pair in self.chain.of_plane(plane) if pair.immersion == immersion]
+        return [signals[pair.name] for pair in pairs if pair.name in signals]
 
     @property
     def one_rake(self) -> bool:
@@ -103,11 +84,7 @@ class RakeSignals:
         found = []
         for signals in (self.flow_kg_s, self.total_Pa):
             for immersion in self.immersions(plane):
-                own = [
-                    signals[pair.name]
-                    for pair in self.chain.of_plane(plane)
-                    if pair.immersion == immersion and pair.name in signals
-                ]
+                own = self._alike(signals, plane, immersion)
                 found += [first - own[0] for first in own[1:]]
         return found
 
@@ -203,15 +180,7 @@ class RakeSignals:
 
 
 def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
-    """Take the pairs out of a record.
-
-    Parameters
-    ----------
-    record : Record
-        Calibrated, matched, with the local flows of its pairs and inverted thermocouples.
-    test : TestDescription
-        Its test.
-    """
+    """Take the pairs out of a record with their local flows and inverted thermocouples."""
     # A record that continues another holds no reading near stall: its noise is that of all rows.
     apart = bool(test.near_stall_shifts)
     reading = slice(0, record.n_samples) if apart else near_stall_rows(record, test)
@@ -222,13 +191,19 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
             continue
         noise = []
         for probe in (pair.forward, pair.aft):
-            if fault_name(probe.name) in record:
-                counts &= record[fault_name(probe.name)] == 0
+            counts &= record.marks(probe.name) == 0
             steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
             noise.append(float(np.std(steps) / np.sqrt(GAIN)))
         law = pair.forward.probe_slope, pair.forward.probe_offset
         pairs.append(PairChain(pair.name, *law, *noise))
-    chain = Chain.of(test, tuple(pairs), reading.stop - reading.start)
+    chain = Chain(
+        tuple(pairs),
+        dict(test.areas_m2),
+        test.compressor,
+        test.rotor_speed_rpm,
+        test.design_corrected_speed_rpm,
+        reading.stop - reading.start,
+    )
     couples = [c.name for c in test.thermocouples(25) if c.name in record]
     return RakeSignals(
         {pair.name: record[f"Wc{pair.name}_kg_s"] for pair in chain.of_plane(25)},
@@ -241,13 +216,7 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
 
 
 def rake_signals_of(series: CoefficientSeries) -> RakeSignals | None:
-    """Return the pairs that a series carries, None where it or its ledger lacks them.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        As the reduction leaves it.
-    """
+    """Return the pairs that a series carries, None where it or its ledger lacks them."""
     entries = [entry for entry in series.history if entry.step == STEP]
     if not entries:
         return None

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from classic_ml.whole_record.branches import Specification, design, least_error, scored_rows
+from classic_ml.whole_record.branches import FreeRun, Specification
 from classic_ml.whole_record.passes import Passes
 from surge_core.types import BoolArray, FloatArray
 
@@ -36,31 +36,16 @@ INDEPENDENT_S = 0.003
 
 @dataclass(frozen=True)
 class StallLevels:
-    """The flows at which the machine changes its state.
+    """The flows at which the machine changes its state."""
 
-    Parameters
-    ----------
-    recovery_phi : float
-        φ above which stall ends, on the way up.
-    entry_phi : float
-        φ below which it begins, on the way down; above the other where the unstalled branch peaks
-        beyond the flow of recovery.
-    """
-
-    recovery_phi: float
+    recovery_phi: float  # φ above which stall ends, on the way up
+    # φ below which it begins, on the way down; above the other where the unstalled branch peaks
+    # beyond the flow of recovery
     entry_phi: float
 
 
 def state_by_levels(passes: Passes, levels: StallLevels) -> BoolArray:
-    """Return the in-stall state that two levels give.
-
-    Parameters
-    ----------
-    passes : Passes
-        The signals.
-    levels : StallLevels
-        The two flows.
-    """
+    """Return the in-stall state that two levels give."""
     phi = passes.smooth(passes.phi, LEVEL_AVERAGE_S)
     slope = np.gradient(passes.smooth(passes.phi, SLOPE_AVERAGE_S))
     rises = (phi > levels.recovery_phi) & (slope > 0.0)
@@ -82,24 +67,10 @@ def state_by_levels(passes: Passes, levels: StallLevels) -> BoolArray:
 def estimated_state(
     passes: Passes, spec: Specification, *, by_flow: bool = False
 ) -> tuple[BoolArray, StallLevels | None]:
-    """Estimate the levels over a grid, then by halving its steps.
+    """Return the state and its levels, estimated over a grid, then by halving its steps.
 
-    Parameters
-    ----------
-    passes : Passes
-        The signals.
-    spec : Specification
-        What the fit takes for granted.
-    by_flow : bool
-        Whether the hub-minus-tip flow alone decides, where there is one.
-
-    Returns
-    -------
-    in_stall : ndarray of bool, shape (n,)
-        The state.
-    levels : StallLevels or None
-        None where the record changes its state too seldom to estimate them: the state is then the
-        one by hub and tip.
+    With ``by_flow`` the hub-minus-tip flow alone decides, where there is one. Without levels (None)
+    the record changes its state too seldom to estimate them, and the state is that by hub and tip.
     """
     state = passes.in_stall
     inner = passes.piece[1:] == passes.piece[:-1]
@@ -131,18 +102,7 @@ def refined_state(
 ) -> BoolArray:
     """Return the state of another record of the same machine, its levels searched nearby.
 
-    Parameters
-    ----------
-    passes : Passes
-        Signals of the other record.
-    spec : Specification
-        What the fit takes for granted.
-    levels : StallLevels or None
-        Of the first record.
-    near_s : float
-        Its time constant, in seconds; not asked for by flow alone.
-    by_flow : bool
-        Whether the hub-minus-tip flow alone decides, where there is one.
+    ``levels`` and the time constant ``near_s`` are those of the first; see `estimated_state`.
     """
     if levels is None:
         return passes.in_stall
@@ -173,9 +133,8 @@ def _misfit(passes: Passes, spec: Specification, levels: StallLevels, taus_s: Fl
         return math.inf
     length_s, total = passes.phi.size * passes.sample_period_s, 0.0
     if taus_s.size:
-        inputs, psi_p = design(passes, spec, state)
-        scored = scored_rows(passes, spec)
-        least = min(least_error(tau_s, passes, inputs, psi_p, scored) for tau_s in taus_s)
+        run = FreeRun.of(passes, spec, state)
+        least = min(map(run.least_error, taus_s))
         total = length_s / INDEPENDENT_S * math.log(max(least, 1e-12))
     if passes.shift is not None:
         total += length_s / passes.period_s * math.log(_shift_error(passes, passes.shift, state))

@@ -84,33 +84,14 @@ def delivered_power(
     smooth: Callable[[FloatArray], FloatArray] = np.asarray,
     stores: bool = True,
 ) -> FloatArray:
-    """Return W25 ψ, which stays finite through zero flow (Eq 13 with W31 from the mass balance).
+    """Return W25 ψ in kg/s, finite through zero flow (Eq 13 with W31 from the mass balance).
 
-    Parameters
-    ----------
-    record : Record
-        Plane averages, the lag of the thermocouples undone.
-    test : TestDescription
-        Machine and speed.
-    flow_kg_s : ndarray of shape (n,)
-        W25, or what both planes say of it.
-    phi : ndarray of shape (n,)
-        Flow coefficient of that flow, best without the cells' ripple.
-    mixing_phi : float
-        φ₀ of :func:`credit_of_storage`.
-    smooth : callable
-        Smooths I d²W25/dt² and what T̄ is made of: the second derivative of a noisy flow is most
-        of the noise of ψ.
-    stores : bool
-        False where nothing is stored between the blading and T31: then T2 = T31.
+    The record holds plane averages, the lag of the thermocouples undone; ``flow_kg_s`` is W25, or
+    what both planes say of it, and ``phi`` that of this flow, best without the cells' ripple.
+    ``mixing_phi`` is φ₀ of :func:`credit_of_storage`. ``smooth`` is for I d²W25/dt² and what T̄ is
+    made of: the second derivative of a noisy flow is most of the noise of ψ. Where nothing
+    ``stores`` between the blading and T31, T2 = T31.
 
-    Returns
-    -------
-    ndarray of shape (n,)
-        W25 ψ in kg/s; ψ is this over ``flow_kg_s``.
-
-    Notes
-    -----
     ψ = (2 c_p/U²)(T2 − T25) and c_p (W25 T2 − W31 T31) = V_c/(γ−1) dP̄/dt with
     P̄ = P25 + κ (P31 + I dW25/dt − P25) and W31 = W25 − κ V_c/(R T̄) dP31/dt, so that
 

@@ -75,18 +75,10 @@ class Collocation:
         x: FloatArray,
         ridge: FloatArray | None = None,
     ) -> Fit:
-        """Fit some terms, from coefficients and states nearby.
+        """Fit some terms, from coefficients (n_terms, n_states) and states (n_rows, n_states).
 
-        Parameters
-        ----------
-        support : ndarray of int
-            Columns of Ξ, flattened by state: state * n_terms + term.
-        xi : ndarray of shape (n_terms, n_states)
-            Coefficients to start from.
-        x : ndarray of shape (n_rows, n_states)
-            States to start from.
-        ridge : ndarray of shape (n_support,), optional
-            What is added to the diagonal of H.
+        The support are columns of Ξ flattened by state, state * n_terms + term; a ridge, one a
+        column, is added to the diagonal of H.
         """
         n_terms = xi.shape[0]
         place = support % n_terms, support // n_terms

@@ -285,16 +285,17 @@ class SparseDynamics(BaseEstimator):
                 raise InputError(
                     "known", expected="states of x or `hidden`", found=state, remedy="name one"
                 )
+        plain = {"1", *self.state_names_, *self.input_names_}
         for name in self.hidden:
-            if not any(name in terms for s, terms in known.items() if s not in self.hidden):
+            ties = self._ties(name, known)
+            if not ties:
                 raise InputError(
                     "hidden",
                     expected=f"a known equation of a measured state with the term {name}",
                     found="none",
                     remedy="give the equation that ties the hidden state to what is measured",
                 )
-            for terms in (t for s, t in known.items() if name in t and s not in self.hidden):
-                plain = {"1", *self.state_names_, *self.input_names_}
+            for terms in ties.values():
                 if not set(terms) <= plain or terms[name] == 0.0:
                     raise InputError(
                         "known",
@@ -302,6 +303,10 @@ class SparseDynamics(BaseEstimator):
                         f"equation that gives {name}",
                         found=", ".join(f"{n}={value:g}" for n, value in terms.items()),
                     )
+
+    def _ties(self, name: str, known: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the known equations of measured states that hold a hidden one."""
+        return {s: terms for s, terms in known.items() if name in terms and s not in self.hidden}
 
     def _with_hidden(self, data: Trajectories, known: Mapping[str, Any]) -> Trajectories:
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
@@ -311,8 +316,7 @@ class SparseDynamics(BaseEstimator):
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
         columns |= dict(zip(self.input_names_, data.u.T, strict=True))
         for name in self.hidden:
-            state = next(s for s, terms in known.items() if name in terms and s not in self.hidden)
-            terms = known[state]
+            state, terms = next(iter(self._ties(name, known).items()))
             rest = rates[:, self.state_names_.index(state)].copy()
             for other, value in terms.items():
                 if other != name:

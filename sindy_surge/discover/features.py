@@ -29,13 +29,7 @@ class Features:
 
     @classmethod
     def of(cls, library: Any, names: Sequence[str], x: FloatArray, u: FloatArray) -> Features:
-        """Fit a copy of a library to states and inputs of these names.
-
-        Raises
-        ------
-        InputError
-            If a term of the library cannot be evaluated on them.
-        """
+        """Fit a copy of a library to states and inputs of these names, or refuse its bad terms."""
         size = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
         with np.errstate(all="ignore"):
             found = cls(*fitted_library(library, np.column_stack((x, u)), names), size)
@@ -82,13 +76,7 @@ class Features:
         return np.stack(found, axis=2)
 
     def index(self, name: str) -> int:
-        """Return the place of a term.
-
-        Raises
-        ------
-        InputError
-            If the library has no such term.
-        """
+        """Return the place of a term, or refuse one that the library has not."""
         plain = re.sub(r"\s*\*\s*", " ", name.strip())
         if plain not in self.names:
             raise InputError(

@@ -94,26 +94,11 @@ def block_covariance(columns: FloatArray, left: FloatArray, blocks: Sequence[sli
 
 
 def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[IntArray, float]:
-    """Choose among the first `n_terms` columns by the extended BIC.
+    """Choose among the first `n_terms` columns, and return them and the number of independent rows.
 
-    n log(rest²) + k (log n + 2 log p) with n the number of independent rows: the residual of all
-    columns says over how many rows it is correlated.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        Candidates, then columns that always stay.
-    goal : ndarray of shape (n_rows,)
-        What they are to explain.
-    n_terms : int
-        Number of candidates.
-
-    Returns
-    -------
-    chosen : ndarray of int
-        The candidates that stay.
-    independent : float
-        Number of independent rows.
+    By the extended BIC n log(rest²) + k (log n + 2 log p) with n the independent rows: the residual
+    of all columns says over how many rows it is correlated. The columns behind the first always
+    stay.
     """
     left = goal - columns @ least_squares(columns, goal)
     independent = goal.size / correlation_rows(left)
@@ -145,23 +130,8 @@ def fit_balance(
 ) -> Balance:
     """Fit dx/dt = Σ c_j s_j in integral form, its terms chosen by the extended BIC.
 
-    Parameters
-    ----------
-    channel : ndarray of shape (n_rows,)
-        Measured x.
-    states : ndarray of shape (n_rows, 3)
-        φ, ψ' and Ψ, smoothed.
-    runs : Segments
-        The rows of each record.
-    period_samples : int
-        Rows of a cycle; x starts freely in each.
-    sample_period_s : float
-        Sample period in seconds.
-
-    Returns
-    -------
-    Balance
-        The equation.
+    The channel is measured x (n_rows,), the states are φ, ψ' and Ψ (n_rows, 3), smoothed; x starts
+    freely in each cycle of ``period_samples`` rows.
     """
     from scipy.integrate import cumulative_simpson
 

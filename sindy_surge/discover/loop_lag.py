@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -207,17 +208,8 @@ def _descend(
 def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     """Fit one branch: powers of φ, and a kink where it earns its place.
 
-    Parameters
-    ----------
-    rows : LagRows
-        The record.
-
-    Returns
-    -------
-    fit : LagFit
-        The fit with the terms of least score.
-    richest : float
-        What the richest single branch (degree 7, and other cubics beyond a kink) leaves of ψ'.
+    Returned are the fit with the terms of least score, and what the richest single branch (degree
+    7, and other cubics beyond a kink) leaves of ψ'.
     """
     smooth = _chebyshev(rows.phi, _RICHEST)
 
@@ -246,17 +238,7 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
 def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
     """Fit two branches: search both levels on a grid, refine them with τ, choose the terms.
 
-    Parameters
-    ----------
-    rows : LagRows
-        The record.
-    tau_s : float
-        First value of τ: one branch forced on two reads some 15 % low.
-
-    Returns
-    -------
-    LagFit
-        The fit with the terms of least score.
+    The first τ may be that of one branch, which forced on two reads some 15 % low.
     """
     columns = _chebyshev(rows.phi, _SEARCHED)
     low, high = np.quantile(rows.phi, (0.02, 0.98))
@@ -298,12 +280,6 @@ def _apart(ranked: Sequence[tuple[float, ...]], distance: float) -> list[tuple[f
     return found
 
 
-def _twin_rest(
-    design: Callable[[FloatArray, LagRows], FloatArray], twin: LagRows
-) -> Callable[[FloatArray], float]:
-    return lambda at: _rest(design(at, twin), twin.psi_p)
-
-
 def _settled(
     rows: LagRows, tau_s: float, levels: tuple[float, ...], powers: tuple[int, ...], knot: float
 ) -> LagFit:
@@ -323,12 +299,15 @@ def _settled(
         full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
         return np.column_stack((full[:, kept], full[:, n_terms:]))
 
+    def left_by(at: FloatArray, rows: LagRows = rows) -> float:
+        return _rest(design(at, rows), rows.psi_p)
+
     at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
     for _ in range(2):
         kept = np.arange(n_terms)
         chosen, independent = best_terms(design(at), rows.psi_p, n_terms)
         kept = chosen
-        at = _descend(lambda v: _rest(design(v), rows.psi_p), at, np.full(at.size, 0.01))
+        at = _descend(left_by, at, np.full(at.size, 0.01))
     columns = design(at)
     beta = least_squares(columns, rows.psi_p)
     fitted = columns @ beta
@@ -342,7 +321,7 @@ def _settled(
     again = []
     for _ in range(_TWINS):
         twin = rows.twin(fitted, rng)
-        found = _descend(_twin_rest(design, twin), at, np.full(at.size, 0.01))
+        found = _descend(partial(left_by, rows=twin), at, np.full(at.size, 0.01))
         again.append(np.append(found, least_squares(design(found, twin), twin.psi_p)))
     moved = 2 * np.append(at, beta) - np.mean(again, axis=0)
     at, beta = moved[: at.size], moved[at.size :]

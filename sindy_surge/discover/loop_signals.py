@@ -37,22 +37,10 @@ class Cycles:
 
 
 def measure_cycles(states: FloatArray, sample_period_s: float) -> Cycles:
-    """Measure the cycles that the first channel shows.
+    """Measure the cycles that the first channel, φ, of smooth states (n_rows, n_channels) shows.
 
     A cycle runs from one rise of φ through the middle of its range to the next, with a hysteresis
-    of a third of the range.
-
-    Parameters
-    ----------
-    states : ndarray of shape (n_rows, n_channels)
-        φ first; smooth.
-    sample_period_s : float
-        Sample period in seconds.
-
-    Returns
-    -------
-    Cycles
-        No cycle, and nan for its measures, without one whole.
+    of a third of the range. Without a whole one there is none, and its measures are nan.
     """
     nothing = (np.nan,) * states.shape[1]
     if not np.all(np.isfinite(states)) or np.any(np.ptp(states, axis=0) == 0):
@@ -88,30 +76,12 @@ def _rises(phi: FloatArray) -> list[float]:
 def hidden_plenum(
     phi: FloatArray, psi_p: FloatArray, sample_period_s: float, period_samples: int
 ) -> FloatArray:
-    """Estimate a plenum pressure that was not measured, from the duct.
+    """Estimate a plenum pressure that was not measured, in the unit of ψ', from the duct.
 
     dφ/dt = a (ψ' - Ψ) gives Ψ = ψ' - (dφ/dt)/a. Differentiated once more and with the throttle
-    drawn as a straight line, d²φ/dt² = a dψ'/dt + terms in 1, φ, ψ' and dφ/dt: in the weak form
-    the coefficient of dψ'/dt is a.
-
-    Parameters
-    ----------
-    phi, psi_p : ndarray of shape (n_rows,)
-        φ and ψ', smoothed.
-    sample_period_s : float
-        Sample period in seconds.
-    period_samples : int
-        Rows of a cycle.
-
-    Returns
-    -------
-    ndarray of shape (n_rows,)
-        Ψ in the unit of ψ'.
-
-    Raises
-    ------
-    InputError
-        If ψ' does not drive φ as a duct would have it.
+    drawn as a straight line, d²φ/dt² = a dψ'/dt + terms in 1, φ, ψ' and dφ/dt: in the weak form the
+    coefficient of dψ'/dt is a. φ and ψ' are smoothed; refused where ψ' does not drive φ as a duct
+    would have it.
     """
     half_width = max(period_samples // 12, 6)
     z = np.arange(-half_width, half_width + 1) / half_width

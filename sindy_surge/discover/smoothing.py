@@ -11,17 +11,10 @@ _ORDER = 3
 
 
 def smoothed(signal: FloatArray, noise: float) -> FloatArray:
-    """Smooth a signal by local cubics whose width has the least estimated risk.
+    """Smooth a signal with white noise by local cubics whose width has the least estimated risk.
 
-    Of a linear smoother S with centre weight s₀, mean (y - S y)² + 2 σ² s₀ - σ² estimates the
-    mean squared error without bias (Stein).
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n_rows,)
-        The signal with white noise.
-    noise : float
-        σ, the standard deviation of the noise.
+    Of a linear smoother S with centre weight s₀, mean (y - S y)² + 2 σ² s₀ - σ² estimates the mean
+    squared error without bias (Stein); σ is the standard deviation of the noise.
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 

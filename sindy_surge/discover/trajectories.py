@@ -32,13 +32,7 @@ class Trajectories:
 
     @classmethod
     def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
-        """Read what a user passes: arrays or lists of arrays, times or a step.
-
-        Raises
-        ------
-        InputError
-            If they cannot be used.
-        """
+        """Read what a user passes, arrays or lists of arrays and times or a step, or refuse it."""
         xs = _listed("x", x)
         ts = list(t) if isinstance(t, list | tuple) and np.ndim(t[0]) else [t] * len(xs)
         us = _listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
@@ -82,10 +76,7 @@ class Trajectories:
     def within(self, rows: int | None = None) -> BoolArray:
         """Return whether a row and the next belong together, (n_rows - 1,).
 
-        Parameters
-        ----------
-        rows : int, optional
-            Cut each trajectory into segments of so many rows.
+        With ``rows`` each trajectory is cut into segments of so many.
         """
         offset = self.runs.offsets()[1:]
         return np.asarray(offset % rows != 0 if rows else offset > 0)

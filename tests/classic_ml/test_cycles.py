@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from clean_records import SURGES, clean_record, rows_of
+from clean_records import SURGES, clean_record
 from rig_records import rig_record
 
 from classic_ml.records import LedgerEntry, Record
@@ -36,7 +35,7 @@ def found(record: Record, name: str) -> LedgerEntry:
 
 
 def head(name: str, n_rows: int) -> Record:
-    return rows_of(clean_record(name)[0], np.arange(n_rows))
+    return clean_record(name)[0].part(slice(0, n_rows))
 
 
 @pytest.mark.parametrize("name", SURGES)
@@ -64,7 +63,7 @@ def test_a_machine_that_oscillates_mildly_for_good_is_reduced_and_it_is_said() -
     (flag,) = entry.flags
     assert "no deep surge cycle is in the record" in flag
     # The beginning of the same record may still become a deep surge.
-    short = rows_of(record, np.arange(1200))
+    short = record.part(slice(0, 1200))
     with pytest.raises(InputError, match=r"found 0 beside \d+ mild oscillations"):
         reduce_record(short, test)
 

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from raw_data import RawTest, make_test, to_toml, write_csv
+from raw_data import RawTest, make_test, pascals_of, to_toml, write_csv
 
+from classic_ml.description import COUNT_KEYS
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 
 PSI = 0.45359237 * 9.80665 / 0.0254**2
 BAROMETER_PA = 101_200.0
-COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
 Tables = dict[str, Any]
 Columns = dict[str, np.ndarray]
 
@@ -25,18 +25,6 @@ Columns = dict[str, np.ndarray]
 @pytest.fixture(scope="module")
 def made() -> RawTest:
     return make_test(seconds=0.5)
-
-
-def pascals_of(made: RawTest) -> Columns:
-    """The pressures of a record by their zero and calibrate readings in Pa, temperatures in K."""
-    columns = {}
-    for name, table in made.description["channels"].items():
-        values = made.columns[name]
-        if table["kind"] == "pressure":
-            gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
-            values = (values - table["zero_count"]) / gain + table["zoc_reference_Pa"]
-        columns[name] = values
-    return columns
 
 
 def described(made: RawTest, change: Callable[[str, Tables], Tables], **top: Any) -> Tables:
@@ -87,7 +75,7 @@ def in_other_units(made: RawTest, unit: str) -> tuple[Columns, Tables]:
     temperature, more, from_pascals = UNITS[unit]
     columns = {
         n: from_pascals(v) if n.startswith("P") else TEMPERATURES[temperature](v)
-        for n, v in pascals_of(made).items()
+        for n, v in pascals_of(made.columns, made.description["channels"]).items()
     }
     tables = described(made, in_unit(unit, temperature, **more))
     del tables["adc"]
@@ -100,7 +88,7 @@ def test_pressures_in_any_unit_are_those_of_the_counts(
 ) -> None:
     record, _ = read_raw(*write(tmp_path, *in_other_units(made, unit)))
     assert {channel.unit for channel in record.channels.values()} == {"Pa", "K"}
-    for name, values in pascals_of(made).items():
+    for name, values in pascals_of(made.columns, made.description["channels"]).items():
         np.testing.assert_allclose(record[name], values, rtol=1e-14, atol=1e-9, err_msg=name)
 
 

@@ -51,13 +51,6 @@ def test_a_raw_record_is_read_as_it_was_recorded(made: RawTest, files: tuple[Pat
     assert {p.name for p in test.pairs(25)} == {"25_A_tip", "25_A_hub", "25_B_tip", "25_B_hub"}
 
 
-def test_a_clock_that_starts_late_keeps_facility_time(made: RawTest, tmp_path: Path) -> None:
-    late = {**made.columns, "time_s": made.columns["time_s"] + 7200.0}
-    raw, test = RawTest(late, made.description, {}).write(tmp_path)
-    record, _ = read_raw(raw, test)
-    assert record.start_s == 7200.0
-
-
 Columns = dict[str, np.ndarray]
 PROBE = "P31_B_hub_aft"
 

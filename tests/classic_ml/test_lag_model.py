@@ -260,15 +260,3 @@ def test_a_held_time_constant_is_the_fit_when_it_is_the_fitted_one(noise: str) -
     np.testing.assert_allclose(held.moving_average_, free.moving_average_, atol=1e-6)
     assert np.all(np.diag(held.covariance_) <= 1.5 * np.diag(free.covariance_))
     assert np.all(held.parameter_covariance_[0] == 0.0)
-
-
-def test_the_cost_of_held_time_constants_has_its_least_at_the_fit() -> None:
-    rng = np.random.default_rng(1)
-    phi = flow(2000, rng)
-    y = lagged(phi, "first") + 0.002 * rng.standard_normal(2000)
-    options = {"noise": "armax", "hold": "first", "drift": "spline"}
-    free = LagRegressor(PERIOD_S, **options).fit(phi[:, None], y)
-    for factor in (0.97, 1.03):
-        trial = factor * free.time_constant_s_
-        held = LagRegressor(PERIOD_S, time_constant_s=trial, **options).fit(phi[:, None], y)
-        assert held.residual_std_ > free.residual_std_

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -9,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from raw_data import make_test, to_toml, write_csv
+from raw_data import make_test, pascals_of, to_toml, write_csv
 
+from classic_ml.description import COUNT_KEYS
 from classic_ml.faults.findings import CLIPPED
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.search import inspect_readings
@@ -20,7 +22,6 @@ from comparisons.rig import SensorSettings, simulate, write_run
 from surge_core.types import FloatArray
 
 PSI = 6894.757
-COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
 
 
 def ends_of(values: FloatArray) -> tuple[float, ...]:
@@ -40,23 +41,16 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def in_other_units(folder: Path, *, limits: dict[str, list[float]] | None = None) -> Path:
     """The record as a test cell writes it: four digits of psia, two of degF, no converter."""
-    import tomllib
-
     raw = np.genfromtxt(folder / "raw.csv", delimiter=",", names=True, deletechars="")
     tables = tomllib.loads((folder / "test.toml").read_text("utf-8"))
     columns = {"time_s": raw["time_s"]}
-    for name, table in tables["channels"].items():
-        if table["kind"] == "pressure":
-            counts = table["calibrate_count"] - table["zero_count"]
-            pascals = table["zoc_reference_Pa"]
-            pascals += table["calibrate_pressure_Pa"] * (raw[name] - table["zero_count"]) / counts
-            columns[name] = (pascals / PSI).round(4)
-            table["unit"] = "psia"
-            for key in COUNT_KEYS:
-                del table[key]
-        else:
-            columns[name] = (1.8 * raw[name] - 459.67).round(2)
-            table["unit"] = "degF"
+    for name, values in pascals_of(raw, tables["channels"]).items():
+        table = tables["channels"][name]
+        is_pressure = table["kind"] == "pressure"
+        columns[name] = (values / PSI).round(4) if is_pressure else (1.8 * values - 459.67).round(2)
+        table["unit"] = "psia" if is_pressure else "degF"
+        for key in COUNT_KEYS:
+            table.pop(key, None)
     del tables["adc"], tables["limits"]
     if limits:
         tables["limits"] = limits

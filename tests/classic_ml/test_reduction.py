@@ -71,15 +71,6 @@ def test_filter_first_and_flow_afterwards() -> None:
     assert np.abs(other - record["Wc25_kg_s"])[window].max() > 2 * LBM_KG
 
 
-def test_the_inertia_term_matters() -> None:
-    ideal = make_test(quantise=False)
-    with_term = reduced(ideal, phase="none")
-    machine = {**ideal.description["compressor"], "inertia_per_m": 1e-9}
-    without = reduced(described(ideal, compressor=machine), phase="none")
-    np.testing.assert_array_equal(with_term.series.phi, without.series.phi)
-    assert rms(ideal, without, "psi_p") > 4 * rms(ideal, with_term, "psi_p")
-
-
 def test_without_an_unstalled_regime_there_is_one_segment(made: RawTest) -> None:
     description = {**made.description, "segmentation": {"threshold_lbm_s": "none"}}
     told = dataclasses.replace(made, description=description)

@@ -47,16 +47,8 @@ def test_a_sound_series_knows_its_clock_and_segments() -> None:
     assert series.segment.dtype == np.int64
     assert series.in_stall is not None
     assert series.in_stall.dtype == np.bool_
-    assert list(series.columns()) == [
-        "time_s",
-        "phi",
-        "psi_p",
-        "psi",
-        "T25_K",
-        "Nc_frac",
-        "in_stall",
-        "segment",
-    ]
+    names = "time_s phi psi_p psi T25_K Nc_frac in_stall segment"
+    assert list(series.columns()) == names.split()
 
 
 @pytest.mark.parametrize(
@@ -66,8 +58,6 @@ def test_a_sound_series_knows_its_clock_and_segments() -> None:
         (put("psi_p", 9, np.inf), "column psi_p: .* inf in row 10"),
         (put("psi", 9, np.nan), "column psi: .* nan in row 10"),
         (put("time_s", 50, 2.0495), "column time_s: expected a uniform step"),
-        (put("time_s", 50, 2.049), "repeats at row 51"),
-        (put("time_s", 50, 1.0), "runs back at row 51"),
         (put("phi", 7, 3.5), "column phi: expected values between -3 and 3, found 3.5 in row 8"),
         (put("psi_p", 7, -101.0), "column psi_p: expected values between -100 and 100"),
         (put("psi", 7, 2000.0), "column psi: expected values between -1000 and 1000"),
@@ -90,12 +80,6 @@ def test_what_no_estimator_can_use_is_refused(
     with pytest.raises(InputError, match=words) as caught:
         CoefficientSeries(**known, source="run.csv")
     assert str(caught.value).startswith("run.csv: ")
-
-
-def test_a_gap_is_refused() -> None:
-    known = {name: np.delete(values, 60) for name, values in columns().items()}
-    with pytest.raises(InputError, match=r"found a step of 0\.002 s after 2\.059 s"):
-        CoefficientSeries(**known)
 
 
 def test_fewer_than_a_hundred_rows_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""Units: factors against hand-made ones, there and back, absolute and gauge kept apart."""
+"""Units: factors against hand-made ones, absolute and gauge kept apart."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from classic_ml.units import (
     Conversion,
@@ -83,21 +81,6 @@ def test_a_temperature_unit_is_its_definition_to_rounding(unit: str) -> None:
 @pytest.mark.parametrize("unit", SECONDS)
 def test_a_time_unit_is_its_definition_to_rounding(unit: str) -> None:
     assert conversion_to_si(unit, "time", "") == Conversion(SECONDS[unit], 0.0)
-
-
-READINGS = st.floats(min_value=-1e7, max_value=1e7, allow_subnormal=False)
-
-
-@settings(max_examples=60, deadline=None)
-@given(READINGS, st.sampled_from(list(PASCALS)), st.floats(min_value=0.0, max_value=2e5))
-def test_a_pressure_goes_to_si_exactly_and_back(value: float, unit: str, reference: float) -> None:
-    found = conversion_to_si(unit, "pressure", "", reference)
-    si = found.to_si(np.array([value]))
-    exact = Fraction(value) * Fraction(found.factor) + Fraction(reference)
-    scale = abs(Fraction(value) * Fraction(found.factor)) + Fraction(reference)
-    assert abs(Fraction(float(si[0])) - exact) <= scale * Fraction(1, 2**52)
-    back = (si - found.offset) / found.factor
-    assert abs(back[0] - value) <= 4e-16 * (abs(value) + reference / found.factor)
 
 
 @pytest.mark.parametrize(

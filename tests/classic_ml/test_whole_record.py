@@ -15,15 +15,15 @@ from classic_ml.io.series import read_series, write_series
 from classic_ml.planes import local_flows
 from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
+from classic_ml.segments import threshold_between
 from classic_ml.series import CoefficientSeries
-from classic_ml.twin import twin_of
-from classic_ml.whole_record.branches import Specification, fit_branches
+from classic_ml.whole_record.branches import BranchFit, FreeRun, Specification, fit_branches
 from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
-from classic_ml.whole_record.interval import with_stored_gas
-from classic_ml.whole_record.passes import Passes, passes_of, threshold_between
+from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
 from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record
+from classic_ml.whole_record_interval import with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
@@ -93,13 +93,19 @@ def test_without_noise_both_branches_give_the_truth(tau_s: float) -> None:
     assert fit.coefficients[:3] == pytest.approx([1.2, 3.0, 47.0], rel=5e-3)
 
 
+def _half_curvature(passes: Passes, fit: BranchFit) -> float:
+    """Return half the second derivative of the sum of squares over log τ."""
+    run = FreeRun.of(passes, SPEC, passes.in_stall)
+    costs = [run.least_error(fit.tau_s * math.exp(step)) for step in (-0.03, 0.0, 0.03)]
+    return fit.errors.size * (costs[0] - 2.0 * costs[1] + costs[2]) / 0.03**2 / 2.0
+
+
 def test_the_scatter_over_seeds_is_that_of_the_curvature() -> None:
     fits = [
         fit_branches(p, SPEC, p.in_stall) for p in (made(noise=0.05, seed=s) for s in range(20))
     ]
     logs = np.log([fit.tau_s / TAU_S for fit in fits])
-    stated = np.sqrt([0.05**2 / fit.curvature for fit in fits])
-    z = logs / stated
+    z = logs / np.sqrt(0.05**2 / _half_curvature(made(noise=0.05), fits[0]))
     # The rms of twenty z is known to 16 %.
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
 
@@ -142,6 +148,7 @@ def test_tau_of_a_record_and_its_interval(fitted: WholeRecordRun) -> None:
     low_s, high_s = fitted.ci95_s_
     assert low_s < TAU_S < high_s
     assert high_s / low_s < 2.0
+    assert "held" not in str(fitted)
     low, high = np.percentile(fitted.trusted_phi, [5.0, 95.0]).tolist()
     phi = np.linspace(low, high, 30)
     truth = np.polynomial.polynomial.polyval(phi, CASES["985"].pressure_terms)
@@ -188,7 +195,7 @@ def test_a_twin_without_noise_reads_the_model(signals: RakeSignals, fitted: Whol
         signals.chain,
         pairs=tuple(replace(p, noise_Pa=0.0, noise_aft_Pa=0.0) for p in signals.chain.pairs),
     )
-    model = twin_of(replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit)
+    model = replace(fit.reading, signals=replace(signals, chain=quiet)).twin_under(fit.fit)
     twin = replace(model, offset_Pa=0.0).measured(np.random.default_rng(0))
     for pair in quiet.of_plane(25):
         at = np.abs(twin.flow_kg_s[pair.name]) > 5.0
@@ -203,20 +210,20 @@ def test_rakes_that_disagree_show_the_error_of_calibration(
 ) -> None:
     """Two rakes at two immersions: two degrees of freedom a record, over sixteen records."""
     fit = fitted.fits_[0]
-    model = (fit.passes, fit.spec, fit.in_stall, fit.fit)
-    twin = twin_of(signals, *model)
+    twin = fit.reading.twin_under(fit.fit)
     # Rakes that agree: both carry the flow of rake A.
     alike = {name: twin.flow_kg_s[name.replace("_B_", "_A_")] for name in twin.flow_kg_s}
     twin = replace(twin, flow_kg_s=alike, offset_Pa=15.0)
-    found = [
-        twin_of(twin.measured(np.random.default_rng(seed)), *model).offset_Pa for seed in range(16)
-    ]
+    found = []
+    for seed in range(16):
+        measured = twin.measured(np.random.default_rng(seed))
+        found.append(replace(fit.reading, signals=measured).twin_under(fit.fit).offset_Pa)
     # The square of a deviation from 32 degrees of freedom is known to a quarter.
     assert np.mean(np.square(found)) == pytest.approx(15.0**2, rel=0.5)
 
 
 def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
-    return _combined([series], (fit,), 2, None)
+    return _combined([series], (fit,), None)
 
 
 def test_what_is_not_known_is_not_printed(
@@ -244,16 +251,16 @@ def test_a_wide_interval_is_refused_and_a_second_record_helps(
     wide = replace(fit, cycles=replace(fit.cycles, log_tau=0.13))
     second = fit_whole_runs([series])
     unlikely = replace(second, time_constant_stderr_s_=0.5 * second.time_constant_s_)
-    one = _combined([series], (wide,), 2, unlikely)
+    one = _combined([series], (wide,), unlikely)
     assert one.fit_state_ is FitState.UNCERTAIN
-    both = _combined([series, series], (wide, wide), 2, unlikely)
+    both = _combined([series, series], (wide, wide), unlikely)
     assert both.fit_state_ is FitState.CONVERGED
 
 
 def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRun) -> None:
     second = fit_whole_runs([series])
     far = replace(second, time_constant_s_=0.04, time_constant_stderr_s_=0.002)
-    found = _combined([series], fitted.fits_, 2, far)
+    found = _combined([series], fitted.fits_, far)
     assert found.fit_state_ is FitState.TWO_READINGS
     assert found.second_reading_ is not None
     assert found.second_reading_.value_s == 0.04
@@ -274,7 +281,7 @@ def without(what: str, which: str) -> CoefficientSeries:
 def test_with_one_rake_hub_and_tip_cancel_the_cells() -> None:
     fit = fit_whole_records([without("rake", "B")], n_twins=4)
     assert isinstance(fit, WholeRecordRun)
-    period_s = fit.fits_[0].passes.period_s
+    period_s = fit.fits_[0].reading.passes.period_s
     assert period_s == pytest.approx(1.0 / CASES["985"].cell_frequency_hz, rel=0.01)
     assert fit.ci95_s_[0] < TAU_S < fit.ci95_s_[1]
     assert abs(fit.time_constant_s_ - TAU_S) < 0.002
@@ -309,23 +316,17 @@ def test_gas_that_the_duct_stores_widens_the_interval_of_both_readings(
     # Ten times the volume takes waves √10 times as long from plane to plane.
     large = machine.model_copy(update={"internal_volume_m3": 10.0 * machine.internal_volume_m3})
     none = machine.model_copy(update={"internal_volume_m3": 0.0})
-    moved = [
-        with_stored_gas(
-            replace(signals, chain=replace(signals.chain, compressor=other)),
-            fit.passes,
-            fit.spec,
-            fit.in_stall,
-            fit.fit,
-        )
-        for other in (none, machine, large)
-    ]
+    moved = []
+    for other in (none, machine, large):
+        own = replace(signals, chain=replace(signals.chain, compressor=other))
+        moved.append(with_stored_gas(replace(fit.reading, signals=own), fit.fit))
     apart = [abs(math.log(each.tau_s / fit.tau_s)) for each in moved]
     assert apart[0] < 1e-3 < apart[2]
     assert apart[1] < apart[2]
     second = fit_whole_runs([series])
     wide = replace(fit, planes=replace(fit.planes, log_tau=0.08))
     narrow = replace(fit, planes=replace(fit.planes, log_tau=0.0))
-    one, other = (_combined([series], (each,), 2, second) for each in (wide, narrow))
+    one, other = (_combined([series], (each,), second) for each in (wide, narrow))
     assert one.time_constant_s_ == other.time_constant_s_
     shares = [each.time_constant_stderr_s_ / each.time_constant_s_ for each in (one, other)]
     assert shares[0] == pytest.approx(math.hypot(shares[1], 0.08))

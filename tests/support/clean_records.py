@@ -59,9 +59,3 @@ def with_channels(
         if name.startswith(starts)
     }
     return replace(record, channels={**record.channels, **channels})
-
-
-def rows_of(record: Record, rows: np.ndarray) -> Record:
-    """Return some rows of a record under an even clock, in another order or more than once."""
-    channels = {n: Channel(n, np.array(c.values)[rows], c.unit) for n, c in record.channels.items()}
-    return replace(record, channels=channels)

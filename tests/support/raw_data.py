@@ -63,6 +63,20 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     path.write_text("\n".join(lines) + "\n", "utf-8")
 
 
+def pascals_of(
+    columns: Mapping[str, np.ndarray], channels: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    """The pressures of a record by their zero and calibrate readings in Pa, temperatures in K."""
+    found = {}
+    for name, table in channels.items():
+        values = columns[name]
+        if table["kind"] == "pressure":
+            gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
+            values = (values - table["zero_count"]) / gain + table["zoc_reference_Pa"]
+        found[name] = values
+    return found
+
+
 def to_toml(tables: Mapping[str, Any], path: str = "") -> str:
     """Return tables as TOML, with any text in keys and values."""
     text = f"[{path}]\n" if path else ""

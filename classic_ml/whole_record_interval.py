@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.whole_record.branches import BranchFit, Specification, fit_branches
-from classic_ml.whole_record.passes import Passes, passes_of
-from classic_ml.whole_record.rakes import RakeSignals
-from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from surge_core.types import BoolArray, FloatArray
+from classic_ml.record_reading import RecordReading
+from classic_ml.whole_record.branches import BranchFit, specifications
+from classic_ml.whole_record.passes import passes_of
+from classic_ml.whole_record.stall_state import state_by_levels
+from surge_core.types import FloatArray
 
 MOST_BLOCKS = 20
 # Eq 2 was calibrated down to about this calculated Mach number; below it is an assumption.
@@ -30,118 +30,59 @@ DELAY_STEP_S, DELAY_STEPS = 1e-3, 6
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far an estimate moves under one kind of change.
+    """How far an estimate moves under one kind of change."""
 
-    Parameters
-    ----------
-    log_tau : float
-        Standard deviation of log τ.
-    bias : float
-        Mean of log τ less that of the estimate.
-    curve : ndarray of shape (q, q)
-        Covariance of the in-stall coefficients.
-    n : int
-        Estimates behind it.
-    """
-
-    log_tau: float
-    bias: float
-    curve: FloatArray
-    n: int
+    log_tau: float  # Standard deviation of log τ
+    bias: float  # Mean of log τ less that of the estimate
+    curve: FloatArray  # (q, q): Covariance of the in-stall coefficients
+    n: int  # Estimates behind it
 
 
-def jackknife(passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit) -> Scatter:
-    """Leave out blocks of whole surge cycles in turn.
-
-    Parameters
-    ----------
-    passes, spec, in_stall
-        What was fitted.
-    fit : BranchFit
-        The estimate.
-
-    Returns
-    -------
-    Scatter
-        With ``n`` the number of blocks; NaN where there is a single one.
-    """
-    cycle = passes.cycle
+def jackknife(reading: RecordReading, fit: BranchFit) -> Scatter:
+    """Leave out blocks of whole surge cycles in turn; NaN where there is a single one."""
+    cycle = reading.passes.cycle
     n = min(MOST_BLOCKS, int(cycle[-1]) + 1)
     block = (cycle * n) // (int(cycle[-1]) + 1)
     fits = [
-        fit_branches(passes, spec, in_stall, scored=fit.scored & (block != b), near_s=fit.tau_s)
-        for b in range(n)
-        if n > 1
+        reading.fit(scored=fit.scored & (block != b), near_s=fit.tau_s) for b in range(n) if n > 1
     ]
-    return scatter_of(fits, fit, spec.degree, math.sqrt(max(n - 1, 0)))
+    return scatter_of(fits, fit, reading.spec.degree, math.sqrt(max(n - 1, 0)))
 
 
-def specifications(spec: Specification) -> tuple[Specification, ...]:
-    """Return what could as well have been taken for granted, one thing changed in each."""
-    return (
-        replace(spec, average_s=0.6 * spec.average_s),
-        replace(spec, average_s=1.4 * spec.average_s),
-        replace(spec, lowest_phi=3.0 * spec.lowest_phi),
-        replace(spec, guard_s=2.0 * spec.guard_s),
-        replace(spec, degree=spec.degree + 1),
-        replace(spec, hinges=not spec.hinges),
-        replace(spec, blend_s=0.5 * spec.blend_s),
-        replace(spec, blend_s=1.5 * spec.blend_s),
-        replace(spec, moves=not spec.moves),
-    )
-
-
-def variants(passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit) -> Scatter:
+def variants(reading: RecordReading, fit: BranchFit) -> Scatter:
     """Fit under other specifications, and with the state as hub and tip alone show it."""
-    others = [*specifications(spec), spec]
-    states = [in_stall] * (len(others) - 1) + [passes.in_stall]
-    fits = [
-        fit_branches(passes, other, state, near_s=fit.tau_s)
-        for other, state in zip(others, states, strict=True)
-    ]
-    alike = [one for one, other in zip(fits, others, strict=True) if other.degree == spec.degree]
+    others = [replace(reading, spec=spec) for spec in specifications(reading.spec)]
+    others.append(reading.by_hub_and_tip())
+    fits = [other.fit(near_s=fit.tau_s) for other in others]
+    degree = reading.spec.degree
+    alike = [one for one, other in zip(fits, others, strict=True) if other.spec.degree == degree]
     tau = scatter_of([fit, *fits], fit, 0, 1.0)
-    return replace(tau, curve=scatter_of([fit, *alike], fit, spec.degree, 1.0).curve)
+    return replace(tau, curve=scatter_of([fit, *alike], fit, degree, 1.0).curve)
 
 
-def law_of_probes(
-    signals: RakeSignals,
-    window: slice | None,
-    spec: Specification,
-    levels: StallLevels | None,
-    fit: BranchFit,
-) -> float:
-    """Return how far log τ moves when the probes' law has a ramp in place of its jump.
-
-    Parameters
-    ----------
-    signals : RakeSignals
-        The record.
-    window : slice or None
-        Rows to stay in.
-    spec, levels, fit
-        The estimate under Eq 2.
-    """
-    passes = passes_of(signals.ramped(RAMP_MACH), window)
+def law_of_probes(reading: RecordReading, fit: BranchFit) -> float:
+    """Return how far log τ moves when the probes' law has a ramp in place of its jump."""
+    passes = passes_of(reading.signals.ramped(RAMP_MACH), reading.window)
+    levels = reading.levels
     state = passes.in_stall if levels is None else state_by_levels(passes, levels)
-    return math.log(fit_branches(passes, spec, state, near_s=fit.tau_s).tau_s / fit.tau_s)
+    ramped = replace(reading, passes=passes, in_stall=state)
+    return math.log(ramped.fit(near_s=fit.tau_s).tau_s / fit.tau_s)
 
 
-def delay_of_exit(
-    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
-) -> tuple[float, BranchFit]:
+def delay_of_exit(reading: RecordReading, fit: BranchFit) -> tuple[float, BranchFit]:
     """Return by how much plane 31 seems late, in seconds, and the fit without that.
 
     A time shift between the planes is read as lag; the least error over shifts shows it, to a part
     of a step by the parabola through the three least.
     """
+    passes = reading.passes
     rows = max(passes.rows_of(DELAY_STEP_S), 1)
     index = np.arange(passes.planes.exit_Pa.size)
 
     def without(steps: float) -> BranchFit:
         exit_Pa = np.interp(index + steps * rows, index, passes.planes.exit_Pa)
         planes = replace(passes.planes, exit_Pa=exit_Pa)
-        return _with_psi_p(signals.coefficients(planes)[1], passes, spec, in_stall, fit)
+        return _with_psi_p(reading.signals.coefficients(planes)[1], reading, fit)
 
     tried = range(-DELAY_STEPS, DELAY_STEPS + 1)
     costs = [without(step).cost if step else fit.cost for step in tried]
@@ -154,24 +95,20 @@ def delay_of_exit(
     return late * rows * passes.sample_period_s, without(late)
 
 
-def with_stored_gas(
-    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
-) -> BranchFit:
+def with_stored_gas(reading: RecordReading, fit: BranchFit) -> BranchFit:
     """Fit ψ' whose inertia acts on the flow in the middle of the duct between the planes.
 
     Eq 5 takes the flow of plane 25 for that of the whole duct, as if waves took no time from plane
     to plane. In a duct that stores gas evenly its middle passes less by half of what is stored.
     """
-    psi_p = signals.coefficients(passes.planes, stored=True)[1]
-    return _with_psi_p(psi_p, passes, spec, in_stall, fit)
+    stored = reading.signals.coefficients(reading.passes.planes, stored=True)
+    return _with_psi_p(stored[1], reading, fit)
 
 
-def _with_psi_p(
-    psi_p: FloatArray, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
-) -> BranchFit:
-    moved = psi_p[passes.row]
-    other = replace(passes, psi_p=np.where(np.isfinite(moved), moved, passes.psi_p))
-    return fit_branches(other, spec, in_stall, near_s=fit.tau_s)
+def _with_psi_p(psi_p: FloatArray, reading: RecordReading, fit: BranchFit) -> BranchFit:
+    moved = psi_p[reading.passes.row]
+    moved = np.where(np.isfinite(moved), moved, reading.passes.psi_p)
+    return reading.with_psi_p(moved).fit(near_s=fit.tau_s)
 
 
 def within_bounds(moved: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
