@@ -26,7 +26,6 @@ from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     covariance_of,
     fitted_parameters,
-    on_all_rows,
     size_in_errors,
 )
 from surge_core.terms import pretty_term
@@ -79,8 +78,8 @@ def concluded(
     floor_rms : float
         Measurement noise.
     """
-    before = on_all_rows(base.fit, base)
-    after = on_all_rows(final.fit, final) if final.found else before
+    before = base.on_all_rows(base.fit)
+    after = final.on_all_rows(final.fit) if final.found else before
     values = fitted_parameters(after, final)
     covariance = covariance_of(after, with_own_state(final.data, after), final)
     missing = []
@@ -188,7 +187,7 @@ def _lost(amplitude: FittedParameter, parameter: Parameter, size: float) -> tupl
 
 def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:
     """Return the largest correlation of two free numbers of an effect, where it has two."""
-    own = fit.structure.slot_of(effect)
+    own = fit.structure.slots[effect.name]
     at = [place for place, number in enumerate(fit.structure.free) if number in own]
     largest = largest_correlation(covariance[np.ix_(at, at)])
     return {CORRELATION: largest} if largest else {}
@@ -199,7 +198,7 @@ def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]
     for name, members in sets.items():
         for member in members:
             out[member.name] = (
-                after.tau_s if member.name == name else on_all_rows(member.fit, final).tau_s
+                after.tau_s if member.name == name else final.on_all_rows(member.fit).tau_s
             )
     return out
 

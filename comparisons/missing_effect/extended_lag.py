@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.coefficient_groups import assembled_fit
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
     BENDING,
@@ -23,11 +22,12 @@ from comparisons.missing_effect.extended_parts import (
     AddedEffect,
     FrozenReferences,
     finite,
-    n_powers,
     rows_in,
 )
 from comparisons.missing_effect.extended_run import FreeRun
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.results import FitRows, evaluate_terms
@@ -219,7 +219,7 @@ class ExtendedLag(Displayed):
         groups = {added.name: np.asarray(added.coefficients) for added in acting}
         groups[TERMS] = np.asarray(self.coefficients)
         structure = Structure(self.terms, tuple(added.effect for added in acting))
-        fit = assembled_fit(structure, data, np.concatenate(nonlinear), groups)
+        fit = Fit.assembled(structure, data, np.concatenate(nonlinear), groups)
         return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
 
     def free_run_over(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -135,12 +134,6 @@ def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
     """Return the rows of a record at given times of its clock, of shape (n,)."""
     at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)
     return np.asarray(at.astype(np.int64))
-
-
-def n_powers(terms: Sequence[str]) -> int:
-    """Return how many powers of φ, from the constant on without a gap, are among the terms."""
-    powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
-    return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
 
 
 def finite(value: float) -> float | None:

@@ -9,11 +9,7 @@ import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import trusted_range
-from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.coefficient_groups import (
-    coefficient_groups,
-    refitted_on,
-)
+from comparisons.missing_effect.candidates import Bench, refitted_on
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
@@ -106,9 +102,8 @@ def refitted(
             fit = _with_effect(fit, added, data, plain)
     metric = _own_metric(_bench(fit, data))
     # In the order in which they were added, whatever order they were searched in.
-    parts = dict(zip(fit.structure.names, fit.structure.parts(fit.nonlinear), strict=True))
     structure = Structure(model.terms, tuple(added.effect for added in model.effects))
-    start = [fit.nonlinear[:1], *(parts[name] for name in structure.names)]
+    start = [fit.nonlinear[:1], *map(fit.values_of, structure.effects)]
     fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, metric)
     return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
 
@@ -175,7 +170,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     parameters = fitted_parameters(fit, bench)
     n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
     linear = covariance[n_free:, n_free:]
-    groups = coefficient_groups(fit, data)
+    groups = fit.groups(data)
     effects = tuple(_added(e, parameters[e.name], groups) for e in fit.structure.effects)
     stderr = np.sqrt(np.maximum(np.diag(linear)[:n_terms], 0.0))
     phi = data.sampled(data["phi"])[data.scored()]

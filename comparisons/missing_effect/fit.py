@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
@@ -51,6 +52,43 @@ class Fit:
     def n_parameters(self) -> int:
         """Numbers that were fitted."""
         return len(self.structure.free) + self.coefficients.size
+
+    @classmethod
+    def assembled(
+        cls,
+        structure: Structure,
+        data: LagData,
+        nonlinear: FloatArray,
+        groups: Mapping[str, FloatArray],
+    ) -> Fit:
+        """Put a model together from linear coefficients by group, to be run on some rows.
+
+        What is not among the groups, or of another number on these rows, is zero.
+        """
+        layout = structure.layout(data, nonlinear)
+        coefficients = np.zeros(max(rows.stop for rows in layout.values()))
+        for name, rows in layout.items():
+            if name in groups and len(groups[name]) == rows.stop - rows.start:
+                coefficients[rows] = groups[name]
+        return cls(structure, nonlinear, coefficients, 0.0)
+
+    def groups(self, data: LagData) -> dict[str, FloatArray]:
+        """Return the linear coefficients by what they belong to, as `Structure.layout` names it."""
+        layout = self.structure.layout(data, self.nonlinear)
+        return {name: self.coefficients[rows] for name, rows in layout.items()}
+
+    def values_of(self, effect: Effect) -> FloatArray:
+        """Return the parameters of one effect that are not linear."""
+        return self.structure.values_of(effect, self.nonlinear)
+
+    def without_amplitude(self, effect: Effect, data: LagData) -> Fit:
+        """Return the model with the amplitude of one effect at zero, everything else as it is."""
+        nonlinear, coefficients = self.nonlinear.copy(), self.coefficients.copy()
+        if effect.linear:
+            coefficients[self.structure.layout(data, nonlinear)[effect.name]] = 0.0
+        else:
+            nonlinear[self.structure.slots[effect.name][0]] = 0.0
+        return replace(self, nonlinear=nonlinear, coefficients=coefficients)
 
     def output(self, data: LagData) -> FloatArray:
         """Return the free run, each run from rest."""

@@ -88,7 +88,7 @@ class Prober:
         seen -= basis @ (basis.T @ seen)
         self.basis = np.column_stack([basis, orthonormal(seen)])
         self.errors = self.solution.errors
-        self._here = self._contracted(self.ports)
+        self._here = self._answer(self.ports)
 
     def probe(self, effect: Effect) -> Probe:
         """Return the score of one effect at the best of its starts."""
@@ -151,14 +151,11 @@ class Prober:
             ports = structure.ports(self.data, np.concatenate([self.fit.nonlinear, moved]))
         else:
             ports = effect.acts(self.ports, self.data, moved)
-        return (self._contracted(ports) - self._here)[:, None] / amplitude.step
+        return (self._answer(ports) - self._here)[:, None] / amplitude.step
 
-    def _contracted(self, ports: Ports) -> FloatArray:
-        coefficients, data = self.solution.coefficients, self.data
-        q, k = ports.driven.shape[1], data.nuisance.shape[1]
-        nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
-        answer = respond(ports.contracted(coefficients), data, self.fit.tau_s, nuisance)
-        return np.asarray(answer.columns.sum(axis=1) + answer.known)
+    def _answer(self, ports: Ports) -> FloatArray:
+        fit = self.fit
+        return fit.structure.answer(self.data, ports, fit.nonlinear, self.solution.coefficients)
 
     def _score(self, columns: FloatArray) -> tuple[float, FloatArray, float]:
         """Return gain, own orthonormal columns, and the amplitude of a single column."""

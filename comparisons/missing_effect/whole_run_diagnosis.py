@@ -21,7 +21,7 @@ from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
-from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
+from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     SHAPED,
@@ -135,7 +135,7 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
     effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
     fit, data = fits[effect.name], bench.data
-    added = fit.output(data) - without_amplitude(fit, effect, data).output(data)
+    added = fit.output(data) - fit.without_amplitude(effect, data).output(data)
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
