@@ -104,8 +104,6 @@ def concluded(
         tau_by_alias_s=_tau_by_alias(final, sets, after),
         before=before,
         after=after,
-        before_fitted=base.fit,
-        after_fitted=final.fit,
         left=left,
         data=final.data,
         noise=noise,

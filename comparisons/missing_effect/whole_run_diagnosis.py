@@ -160,15 +160,12 @@ def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
         null = nulls.by_effect.get(effect.name)
         if null is None or null.can_be_told or not np.isfinite(null.matters):
             continue
+        seen = f"{null.decided_from:.2g}{'' if null.unit == '1' else f' {null.unit}'}"
         why = (
-            f"by twins of this record it is seen from {null.decided_from:.2g} {null.unit} on, and "
+            f"measured twins of this record show that it is seen from {seen} on, and "
             f"{null.matters:.2g} would matter"
         )
-        found.append(
-            Untold(
-                effect.name, why.replace(" 1 on,", " on,"), f"{effect.confirm}; {BETTER_RECORDS}"
-            )
-        )
+        found.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
     return tuple(found)
 
 
