@@ -192,29 +192,25 @@ def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, 
 
 
 def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for name, members in sets.items():
-        for member in members:
-            out[member.name] = (
-                after.tau_s if member.name == name else final.on_all_rows(member.fit).tau_s
-            )
-    return out
+    return {
+        member.name: (after if member.name == name else final.on_all_rows(member.fit)).tau_s
+        for name, members in sets.items()
+        for member in members
+    }
 
 
 def _evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
     """Return the evidence of a candidate by name."""
     e = candidate.evidence
-    numbers = {
+    return {
         "train_gain": e.train,
         "later_gain": e.later,
         "other_record_gain": e.other,
         "held_out_z": e.z,
         "p_value": e.p_value,
         "score": e.score,
+        **({"share": e.share} if np.isfinite(e.share) else {}),
     }
-    if np.isfinite(e.share):
-        numbers["share"] = e.share
-    return numbers
 
 
 def _rms(values: FloatArray) -> float:

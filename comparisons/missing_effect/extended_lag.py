@@ -22,6 +22,7 @@ from comparisons.missing_effect.extended_parts import (
     AddedEffect,
     FrozenReferences,
     finite,
+    on_segments,
     rows_in,
 )
 from comparisons.missing_effect.extended_run import FreeRun
@@ -208,11 +209,7 @@ class ExtendedLag(Displayed):
                     expected=f"the column {needed}, which {added.name} needs",
                     found="none",
                 )
-        # The rows of its segments, whatever unfiltered columns it carries beside them.
-        filtered = replace(
-            record, phi_unfiltered=None, psi_p_unfiltered=None, stalled=None, free_run=None
-        )
-        plain = load_data([filtered])
+        plain = load_data([on_segments(record, record.segment)])
         data = self.references.on(plain)
         acting = [added for added in self.effects if added.acts]
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]

@@ -130,6 +130,18 @@ class FrozenReferences:
         return {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
 
 
+def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeries:
+    """Return a record of such segments, without the unfiltered columns that it may carry."""
+    return replace(
+        record,
+        segment=segment,
+        phi_unfiltered=None,
+        psi_p_unfiltered=None,
+        stalled=None,
+        free_run=None,
+    )
+
+
 def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
     """Return the rows of a record at given times of its clock, of shape (n,)."""
     at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)

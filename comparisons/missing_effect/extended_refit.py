@@ -14,7 +14,7 @@ from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
 from comparisons.missing_effect.extended_parts import BENDING, AddedEffect, FrozenReferences
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
@@ -123,15 +123,14 @@ def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] 
 
 def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) -> Fit:
     """Fit one effect more, from where the errors of the model without it tell to begin."""
-    probe = Prober(fit, data, metric).probe(added.effect)
-    if not probe.starts:
+    found = Prober(fit, data, metric).fitted(added.effect)
+    if found is None:
         raise InputError(
             ", ".join(data.sources),
             expected=f"records in which {added.name} can be detected",
             found="none of the rows that it acts on",
         )
-    starts = [np.concatenate([fit.nonlinear, start]) for start in probe.starts]
-    return fit_structure(fit.structure.with_effect(added.effect), data, metric, starts)
+    return found
 
 
 def _bench(fit: Fit, data: LagData, metric: Metric | None = None) -> Bench:

@@ -155,8 +155,6 @@ def fit_structure(
     data: LagData,
     metric: Metric,
     starts: Sequence[FloatArray],
-    *,
-    most_steps: int = MOST_STEPS,
 ) -> Fit:
     """Fit τ, terms and effects jointly, from the best of several starts.
 
@@ -173,34 +171,24 @@ def fit_structure(
         How errors are weighed.
     starts : sequence of ndarray of shape (p,)
         Starts of log τ and the parameters of the effects.
-    most_steps : int
-        Bound on the steps.
     """
-    fits = [_descend(structure, data, metric, start, most_steps) for start in starts]
+    fits = [_descend(structure, data, metric, start) for start in starts]
     # Starts may differ in how many columns they bring. Half a log-unit for each, what noise alone
     # would win, and not half log n: too coarse a spline leaves structure behind, one too fine
     # costs little.
     return min(fits, key=lambda fit: fit.cost + 0.5 * fit.n_parameters)
 
 
-def _descend(
-    structure: Structure, data: LagData, metric: Metric, start: FloatArray, most_steps: int
-) -> Fit:
+def _descend(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> Fit:
     low, high = structure.bounds.T
     here = np.clip(np.asarray(start, dtype=np.float64), low, high)
     found = solved(structure, data, metric, here)
-    damping, converged = 1e-4, False
-    for _ in range(most_steps):
-        there, moved, damping = _step(structure, data, metric, here, found, damping)
-        if moved is None:
-            converged = True
-            break
-        gained = found.cost - moved.cost
-        here, found = there, moved
-        if gained < LEAST_GAIN:
-            converged = True
-            break
-    return Fit(structure, here, found.coefficients, found.cost, converged)
+    damping, steps, gained = 1e-4, 0, np.inf
+    while gained >= LEAST_GAIN and steps < MOST_STEPS:
+        before = found
+        here, found, damping = _step(structure, data, metric, here, found, damping)
+        steps, gained = steps + 1, before.cost - found.cost
+    return Fit(structure, here, found.coefficients, found.cost, gained < LEAST_GAIN)
 
 
 def _step(
@@ -210,14 +198,11 @@ def _step(
     here: FloatArray,
     found: Solution,
     damping: float,
-) -> tuple[FloatArray, Solution | None, float]:
-    """Return where a step that gains leads; None where none gains any more."""
+) -> tuple[FloatArray, Solution, float]:
+    """Return where a step that gains leads; the same place where none gains any more."""
     free = list(structure.free)
     low, high = structure.bounds.T
-    slopes = structure.slopes(data, here, found.coefficients, free)
-    slopes[:, 0] += slope_of_starts(structure, data, metric, here, found)
-    seen = metric.seen(slopes, found.decay, data)
-    seen -= found.basis @ (found.basis.T @ seen)
+    seen = free_slopes(structure, data, metric, here, found)
     normal, gradient = seen.T @ seen, seen.T @ found.errors
     size = np.diag(normal).copy()
     size[size <= 0.0] = 1.0
@@ -234,10 +219,20 @@ def _step(
         if np.isfinite(moved.cost) and moved.cost < found.cost:
             return there, moved, max(damping / 10.0, 1e-9)
         damping = max(10.0 * damping, 1e-3)
-    return here, None, damping
+    return here, found, damping
 
 
-def slope_of_starts(
+def free_slopes(
+    structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
+) -> FloatArray:
+    """Return how the errors move with the searched parameters beyond what the linear ones do."""
+    slopes = structure.slopes(data, here, found.coefficients, structure.free)
+    slopes[:, 0] += _slope_of_starts(structure, data, metric, here, found)
+    seen = metric.seen(slopes, found.decay, data)
+    return np.asarray(seen - found.basis @ (found.basis.T @ seen))
+
+
+def _slope_of_starts(
     structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
 ) -> FloatArray:
     """Return how what is left of the starts of the runs moves with log τ.

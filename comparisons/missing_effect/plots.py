@@ -39,9 +39,8 @@ if TYPE_CHECKING:
 BEFORE, AFTER, PALE = MARK, ACCENT, "#d3e5f1"
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 SMALL, TINY = 8.5, 7.5
-# Columns of the grid, which two and three panels share; panels beside each other; candidates of a
-# round; runs in the chart of errors (tables hold all).
-GRID_COLUMNS, COLUMNS, CANDIDATES_SHOWN, MOST_RUNS = 6, 3, 8, 16
+# Panels beside each other; candidates of a round; runs in the chart of errors (tables hold all).
+COLUMNS, CANDIDATES_SHOWN, MOST_RUNS = 3, 8, 16
 LONGEST_LABEL, LONGEST_NAME = 44, 30
 # Errors further apart than this are drawn on a logarithmic axis.
 LOGARITHMIC_RATIO = 8.0
@@ -72,19 +71,20 @@ def draw_diagnosis(d: Diagnosis) -> Figure:
     reverse = d.reverse_loss if isinstance(d, LagDiagnosis) else None
     figure = new_figure(height_in=9.8 if reverse is None else 12.4)
     ratios = [1.15, 0.8, 1.15, 1.35, *([] if reverse is None else [1.2])]
-    # One grid for all panels, so that their edges lie on common lines.
-    grid = figure.add_gridspec(len(ratios), GRID_COLUMNS, height_ratios=ratios)
-    halves = [slice(None, GRID_COLUMNS // 2), slice(GRID_COLUMNS // 2, None)]
     run, wheres = d.telling_run, d.wheres
     rows, n = telling_stretch(run), min(len(run.outputs), COLUMNS)
+    # One grid for all panels, so that their edges lie on common lines.
+    columns = max(n, 2)
+    grid = figure.add_gridspec(len(ratios), columns, height_ratios=ratios)
+    halves = (slice(None, columns - 1), slice(columns - 1, None))
     for j in range(n):
-        own = slice(j * GRID_COLUMNS // n, (j + 1) * GRID_COLUMNS // n)
+        own = slice(j, j + 1) if n > 1 else slice(None)
         upper = dress(figure.add_subplot(grid[0, own]))
         lower = dress(figure.add_subplot(grid[1, own], sharex=upper))
         _run_panels(upper, lower, d, run, rows, j)
         if j == 0:
             lower.set_xlabel(f"time [s], {printable(run.title)}", fontsize=9)
-            legend(upper, loc="upper right", fontsize=TINY, ncols=3)
+            legend(upper, loc="upper right", fontsize=TINY, ncols=3 if n == 1 else 1)
     if wheres:
         left, right = (dress(figure.add_subplot(grid[2, half])) for half in halves)
         _spectrum(left, wheres[0], two=bool(d.missing))
@@ -139,7 +139,7 @@ def _over_signal(ax: Axes, where: Where, *, two: bool) -> None:
             ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
     ax.locator_params(axis="x", nbins=6)
     name, simulated = _shown(where.of.signal), " simulated" * where.of.simulated
-    title = f"{_shown(where.of.output)}: mean residual over {name}"
+    title = f"{_shown(where.of.output)}: mean residual"
     along = f"{name}{simulated} {printable(over.bracketed)}"
     _name(ax, title, along, f"mean residual {scale.bracketed}")
 
@@ -176,10 +176,12 @@ def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
     known = [size for size in (*before, *after) if size > 0.0]
     if known and max(known) > LOGARITHMIC_RATIO * min(known):
         ax.set_xscale("log")
+    else:
+        ax.locator_params(axis="x", nbins=4)
     ax.set_yticks(place, [printable(run.title, LONGEST_NAME) for run in runs], fontsize=SMALL)
     ax.set_ylim(len(runs) - 0.4, -0.6)
     ax.grid(False, axis="y")
-    title = f"{printable(output, LONGEST_NAME)}: errors of every record"
+    title = f"{printable(output, LONGEST_NAME)}: every record"
     _name(ax, title, f"rms error {printable(scale.bracketed)}")
     legend(ax, loc="best", fontsize=TINY)
 

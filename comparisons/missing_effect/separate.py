@@ -14,7 +14,7 @@ from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Cha
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
 from comparisons.missing_effect.extended_parts import FrozenReferences
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
@@ -230,9 +230,7 @@ class _Rivals:
         without = refitted_on(Fit(structure, nonlinear, np.zeros(0), 0.0), data, metric)
         prober = Prober(without, data, metric)
         fits = {
-            member.name: after
-            if member.name == winner
-            else _fitted(without, member, data, metric, prober)
+            member.name: after if member.name == winner else prober.fitted(member) or without
             for member in members
         }
         plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
@@ -252,7 +250,8 @@ class _Rivals:
             for rival in self.effects:
                 if rival.name != truth:
                     own = self.fits[rival.name].values_of(rival)
-                    fit = _fitted(base, rival, data, self.metric, prober, own)
+                    begun = own if rival.adapted is None else rival.adapted(data, own)
+                    fit = prober.fitted(rival, [begun]) or base
                     out.append(Distance(truth, rival.name, _sigma(fit), asked))
         return tuple(out)
 
@@ -302,24 +301,6 @@ class _Rivals:
                 waves = np.column_stack([np.cos(phase), np.sin(phase)])
                 groups[effect.name] = size * waves.ravel()
         return Fit.assembled(fit.structure, data, fit.nonlinear, groups).output(data)
-
-
-def _fitted(
-    base: Fit,
-    effect: Effect,
-    data: LagData,
-    metric: Metric,
-    prober: Prober,
-    own: FloatArray | None = None,
-) -> Fit:
-    """Fit a model with one effect more, from where its score tells and from where it was."""
-    begun = list(prober.probe(effect).starts)
-    if own is not None:
-        begun.append(own if effect.adapted is None else effect.adapted(data, own))
-    starts = [np.concatenate([base.nonlinear, values]) for values in begun]
-    if not starts:
-        return base
-    return fit_structure(base.structure.with_effect(effect), data, metric, starts)
 
 
 def _sigma(fit: Fit) -> float:

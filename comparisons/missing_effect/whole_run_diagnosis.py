@@ -75,7 +75,8 @@ def diagnose_whole_runs(
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
     why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
-    blind = effects if why or line else []
+    why = why or (SECOND_PATTERN if line else "")
+    blind = effects if why else []
     effects = [] if blind else effects
     base = plain_bench(data, terms, len(effects), block_rows(data))
     if n_twins and effects:
@@ -120,7 +121,9 @@ def diagnose_whole_runs(
         verdict=verdict,
         missing=missing,
         unavailable=unavailable,
-        untold=_blind(others, why or SECOND_PATTERN) if blind else _untold(others, nulls),
+        untold=tuple(Untold(e.name, why, BLIND[why]) for e in others)
+        if blind
+        else _untold(others, nulls),
         absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line)
@@ -148,10 +151,6 @@ def _firm(members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> bool:
         and by_effect[c.name].is_sure(number_of(c.added[0], c.fit, bench))
         for c in members
     )
-
-
-def _blind(effects: Sequence[Effect], why: str) -> tuple[Untold, ...]:
-    return tuple(Untold(e.name, why, BLIND[why]) for e in effects)
 
 
 def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
