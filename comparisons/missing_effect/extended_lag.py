@@ -21,6 +21,7 @@ from comparisons.missing_effect.extended_parts import (
     SHAPE,
     AddedEffect,
     FrozenReferences,
+    by_record,
     finite,
     on_segments,
     rows_in,
@@ -237,12 +238,10 @@ class ExtendedLag(Displayed):
             In place of the rows' own segments.
         """
         out = np.empty(rows.phi.size)
-        for i, record in enumerate(records):
-            of_record = rows.record == i
-            at = rows_in(record, rows.time_s[of_record])
+        for record, own, at in by_record(rows, records):
             marks = np.zeros(record.n_samples, dtype=np.int64)
-            marks[at] = (rows.labels if labels is None else labels)[of_record]
-            out[of_record] = self.simulate(record, marks)[at]
+            marks[at] = (rows.labels if labels is None else labels)[own]
+            out[own] = self.simulate(record, marks)[at]
         return out
 
     def one_step_over(
@@ -258,11 +257,9 @@ class ExtendedLag(Displayed):
             The records they come from.
         """
         out, known = np.empty(rows.phi.size), np.zeros(rows.phi.size, dtype=np.bool_)
-        for i, record in enumerate(records):
-            of_record = rows.record == i
-            at = rows_in(record, rows.time_s[of_record])
+        for record, own, at in by_record(rows, records):
             prediction, there = self.one_step(record)
-            out[of_record], known[of_record] = prediction[at], there[at]
+            out[own], known[own] = prediction[at], there[at]
         return out, known
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +13,8 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.lag_data import LagData
-from surge_core.types import FloatArray, IntArray
+from comparisons.results import FitRows
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
@@ -140,6 +142,15 @@ def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeri
         stalled=None,
         free_run=None,
     )
+
+
+def by_record(
+    rows: FitRows, records: Sequence[CoefficientSeries]
+) -> Iterator[tuple[CoefficientSeries, BoolArray, IntArray]]:
+    """Return each record with the rows of a comparison that are its own, and where they stand."""
+    for i, record in enumerate(records):
+        own = rows.record == i
+        yield record, own, rows_in(record, rows.time_s[own])
 
 
 def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:

@@ -121,6 +121,7 @@ def diagnose_whole_runs(
         verdict=verdict,
         missing=missing,
         unavailable=unavailable,
+        catalogue=tuple(catalogue),
         untold=tuple(Untold(e.name, why, BLIND[why]) for e in others)
         if blind
         else _untold(others, nulls),
