@@ -140,15 +140,16 @@ class Bench(System[Effect, Fit]):
             if beside is fit.nonlinear:
                 break
             fit = fit_structure(structure, self.train, self.train_metric, [beside])
-        if probe.effect.unnamed:
-            fit = self._with_own_state(fit)
-        return fit
+        return self._settled(fit, carried=True) if probe.effect.unnamed else fit
 
-    def _with_own_state(self, fit: Fit) -> Fit:
+    def _settled(self, fit: Fit, *, carried: bool) -> Fit:
+        """Return a fit whose terms without a name follow the state that it simulates itself.
+
+        That state is carried on from round to round, or begins at that of the model on the bench.
+        """
         data = self.train
-        for _ in range(STATE_ROUNDS):
-            before = fit.cost
-            data = with_state(data, fit)
+        for _ in range(STATE_ROUNDS if any(e.unnamed for e in fit.structure.effects) else 0):
+            before, data = fit.cost, with_state(data if carried else self.train, fit)
             fit = fit_structure(fit.structure, data, self.train_metric, [fit.nonlinear])
             if abs(fit.cost - before) < STATE_SETTLED:
                 break
@@ -164,19 +165,12 @@ class Bench(System[Effect, Fit]):
 
     def refitted(self, fit: Fit) -> Fit:
         """Return a model fitted again to what this bench fits."""
-        metric = self.train_metric
-        data = with_own_state(self.train, fit)
-        start = fit.structure.adapted(data, fit.nonlinear)
-        start = nudged(fit.structure, data, metric, start)
-        whole = fit_structure(fit.structure, data, metric, [start])
-        if not any(effect.unnamed for effect in fit.structure.effects):
-            return whole
-        for _ in range(STATE_ROUNDS):
-            before, data = whole.cost, with_own_state(self.train, whole)
-            whole = fit_structure(fit.structure, data, metric, [whole.nonlinear])
-            if abs(whole.cost - before) < STATE_SETTLED:
-                break
-        return whole
+        whole = _refit(fit, self.train, self.train_metric)
+        return self._settled(whole, carried=False)
+
+    def on_all_rows(self, fit: Fit) -> Fit:
+        """Return a model fitted again, to the fitted and the held-out rows alike."""
+        return _refit(fit, self.data.over_all_phi(), self.metric)
 
     def noise(self, fit: Fit) -> NoiseModel:
         """Describe the noise by the errors of a fit on the fitted rows."""
@@ -318,6 +312,18 @@ class Bench(System[Effect, Fit]):
             return ()
         others = [c for c in accepted if c is not own and min(c.rank, own.rank) > -np.inf]
         return (own, *without.near(own, others, self.policy.alias))
+
+
+def _refit(fit: Fit, data: LagData, metric: Metric) -> Fit:
+    """Return a model fitted again to all of some rows, from where it is or a little beside."""
+    data, structure = with_own_state(data, fit), fit.structure
+    start = nudged(structure, data, metric, structure.adapted(data, fit.nonlinear))
+    return fit_structure(structure, data, metric, [start])
+
+
+def refitted_on(fit: Fit, data: LagData, metric: Metric) -> Fit:
+    """Return a model fitted again to all of some rows, its terms without a name settled."""
+    return Bench(data, fit, metric, 1, 1).refitted(fit)
 
 
 def _on_all_rows(every: Bench, candidate: LagCandidate) -> LagCandidate:

@@ -26,7 +26,6 @@ from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     covariance_of,
     fitted_parameters,
-    on_all_rows,
     size_in_errors,
 )
 from surge_core.terms import pretty_term
@@ -79,8 +78,8 @@ def concluded(
     floor_rms : float
         Measurement noise.
     """
-    before = on_all_rows(base.fit, base)
-    after = on_all_rows(final.fit, final) if final.found else before
+    before = base.on_all_rows(base.fit)
+    after = final.on_all_rows(final.fit) if final.found else before
     values = fitted_parameters(after, final)
     covariance = covariance_of(after, with_own_state(final.data, after), final)
     missing = []
@@ -105,8 +104,6 @@ def concluded(
         tau_by_alias_s=_tau_by_alias(final, sets, after),
         before=before,
         after=after,
-        before_fitted=base.fit,
-        after_fitted=final.fit,
         left=left,
         data=final.data,
         noise=noise,
@@ -188,36 +185,32 @@ def _lost(amplitude: FittedParameter, parameter: Parameter, size: float) -> tupl
 
 def _correlation(effect: Effect, fit: Fit, covariance: FloatArray) -> dict[str, float]:
     """Return the largest correlation of two free numbers of an effect, where it has two."""
-    own = fit.structure.slot_of(effect)
+    own = fit.structure.slots[effect.name]
     at = [place for place, number in enumerate(fit.structure.free) if number in own]
     largest = largest_correlation(covariance[np.ix_(at, at)])
     return {CORRELATION: largest} if largest else {}
 
 
 def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for name, members in sets.items():
-        for member in members:
-            out[member.name] = (
-                after.tau_s if member.name == name else on_all_rows(member.fit, final).tau_s
-            )
-    return out
+    return {
+        member.name: (after if member.name == name else final.on_all_rows(member.fit)).tau_s
+        for name, members in sets.items()
+        for member in members
+    }
 
 
 def _evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
     """Return the evidence of a candidate by name."""
     e = candidate.evidence
-    numbers = {
+    return {
         "train_gain": e.train,
         "later_gain": e.later,
         "other_record_gain": e.other,
         "held_out_z": e.z,
         "p_value": e.p_value,
         "score": e.score,
+        **({"share": e.share} if np.isfinite(e.share) else {}),
     }
-    if np.isfinite(e.share):
-        numbers["share"] = e.share
-    return numbers
 
 
 def _rms(values: FloatArray) -> float:

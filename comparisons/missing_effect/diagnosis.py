@@ -82,7 +82,7 @@ def diagnose(
     if most_effects < 1:
         raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
     if records and all(map(is_whole, records)):
-        found = diagnose_whole_runs(
+        return diagnose_whole_runs(
             records,
             base,
             catalogue=catalogue,
@@ -90,7 +90,6 @@ def diagnose(
             n_twins=n_twins,
             progress=progress,
         )
-        return replace(found, catalogue=tuple(catalogue))
     return diagnose_data(load_data(records), base, catalogue=catalogue, most_effects=most_effects)
 
 

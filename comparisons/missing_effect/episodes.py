@@ -49,7 +49,7 @@ def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tupl
 
 def without_episodes(fit: Fit, ripple: Effect, data: LagData) -> tuple[Fit, FloatArray]:
     """Return a fit without the columns of its ripple, and the ripple's values."""
-    values = fit.structure.values_of(ripple, fit.nonlinear)
+    values = fit.values_of(ripple)
     structure, nonlinear = fit.structure.without(ripple, fit.nonlinear)
     # The ripple stands last behind the lag, so its columns are the last ones.
     own = 2 * len(stall_episodes(data, float(values[1])))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
 from comparisons.missing_effect.extended_lag import ExtendedLag
-from comparisons.missing_effect.extended_parts import REVERSE, SHAPE, rows_in
+from comparisons.missing_effect.extended_parts import REVERSE, SHAPE, by_record, on_segments
 from comparisons.missing_effect.extended_refit import refitted
 from comparisons.results import FitRows
 from surge_core.types import FloatArray
@@ -137,21 +136,9 @@ def _fit_rows(
 ) -> ExtendedLagFit:
     """Fit the rows alone, with what their records know beside φ."""
     marked = []
-    for i, record in enumerate(records):
-        of_record = rows.record == i
-        if np.any(of_record):
+    for record, own, at in by_record(rows, records):
+        if np.any(own):
             labels = np.zeros(record.n_samples, dtype=np.int64)
-            labels[rows_in(record, rows.time_s[of_record])] = rows.labels[of_record]
-            marked.append(_on_rows(record, labels))
+            labels[at] = rows.labels[own]
+            marked.append(on_segments(record, labels))
     return ExtendedLagFit(refitted(model, marked))
-
-
-def _on_rows(record: CoefficientSeries, labels: Any) -> CoefficientSeries:
-    return replace(
-        record,
-        segment=labels,
-        phi_unfiltered=None,
-        psi_p_unfiltered=None,
-        stalled=None,
-        free_run=None,
-    )

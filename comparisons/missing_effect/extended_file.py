@@ -30,8 +30,8 @@ from comparisons.missing_effect.extended_parts import (
     SHAPE,
     AddedEffect,
     FrozenReferences,
-    n_powers,
 )
+from comparisons.missing_effect.ports import n_powers
 from comparisons.results import is_known_term
 from surge_core.errors import InputError
 from surge_core.models import validated

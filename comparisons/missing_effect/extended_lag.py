@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.coefficient_groups import assembled_fit
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
     BENDING,
@@ -22,12 +21,15 @@ from comparisons.missing_effect.extended_parts import (
     SHAPE,
     AddedEffect,
     FrozenReferences,
+    by_record,
     finite,
-    n_powers,
+    on_segments,
     rows_in,
 )
 from comparisons.missing_effect.extended_run import FreeRun
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.results import FitRows, evaluate_terms
@@ -208,18 +210,14 @@ class ExtendedLag(Displayed):
                     expected=f"the column {needed}, which {added.name} needs",
                     found="none",
                 )
-        # The rows of its segments, whatever unfiltered columns it carries beside them.
-        filtered = replace(
-            record, phi_unfiltered=None, psi_p_unfiltered=None, stalled=None, free_run=None
-        )
-        plain = load_data([filtered])
+        plain = load_data([on_segments(record, record.segment)])
         data = self.references.on(plain)
         acting = [added for added in self.effects if added.acts]
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
         groups = {added.name: np.asarray(added.coefficients) for added in acting}
         groups[TERMS] = np.asarray(self.coefficients)
         structure = Structure(self.terms, tuple(added.effect for added in acting))
-        fit = assembled_fit(structure, data, np.concatenate(nonlinear), groups)
+        fit = Fit.assembled(structure, data, np.concatenate(nonlinear), groups)
         return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
 
     def free_run_over(
@@ -240,12 +238,10 @@ class ExtendedLag(Displayed):
             In place of the rows' own segments.
         """
         out = np.empty(rows.phi.size)
-        for i, record in enumerate(records):
-            of_record = rows.record == i
-            at = rows_in(record, rows.time_s[of_record])
+        for record, own, at in by_record(rows, records):
             marks = np.zeros(record.n_samples, dtype=np.int64)
-            marks[at] = (rows.labels if labels is None else labels)[of_record]
-            out[of_record] = self.simulate(record, marks)[at]
+            marks[at] = (rows.labels if labels is None else labels)[own]
+            out[own] = self.simulate(record, marks)[at]
         return out
 
     def one_step_over(
@@ -261,11 +257,9 @@ class ExtendedLag(Displayed):
             The records they come from.
         """
         out, known = np.empty(rows.phi.size), np.zeros(rows.phi.size, dtype=np.bool_)
-        for i, record in enumerate(records):
-            of_record = rows.record == i
-            at = rows_in(record, rows.time_s[of_record])
+        for record, own, at in by_record(rows, records):
             prediction, there = self.one_step(record)
-            out[of_record], known[of_record] = prediction[at], there[at]
+            out[own], known[own] = prediction[at], there[at]
         return out, known
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:

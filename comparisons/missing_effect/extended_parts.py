@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,8 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.lag_data import LagData
-from surge_core.types import FloatArray, IntArray
+from comparisons.results import FitRows
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
@@ -131,16 +132,31 @@ class FrozenReferences:
         return {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
 
 
+def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeries:
+    """Return a record of such segments, without the unfiltered columns that it may carry."""
+    return replace(
+        record,
+        segment=segment,
+        phi_unfiltered=None,
+        psi_p_unfiltered=None,
+        stalled=None,
+        free_run=None,
+    )
+
+
+def by_record(
+    rows: FitRows, records: Sequence[CoefficientSeries]
+) -> Iterator[tuple[CoefficientSeries, BoolArray, IntArray]]:
+    """Return each record with the rows of a comparison that are its own, and where they stand."""
+    for i, record in enumerate(records):
+        own = rows.record == i
+        yield record, own, rows_in(record, rows.time_s[own])
+
+
 def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
     """Return the rows of a record at given times of its clock, of shape (n,)."""
     at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)
     return np.asarray(at.astype(np.int64))
-
-
-def n_powers(terms: Sequence[str]) -> int:
-    """Return how many powers of φ, from the constant on without a gap, are among the terms."""
-    powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
-    return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
 
 
 def finite(value: float) -> float | None:

@@ -9,16 +9,12 @@ import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import trusted_range
-from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.coefficient_groups import (
-    coefficient_groups,
-    refitted_on,
-)
+from comparisons.missing_effect.candidates import Bench, refitted_on
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
 from comparisons.missing_effect.extended_parts import BENDING, AddedEffect, FrozenReferences
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
@@ -106,9 +102,8 @@ def refitted(
             fit = _with_effect(fit, added, data, plain)
     metric = _own_metric(_bench(fit, data))
     # In the order in which they were added, whatever order they were searched in.
-    parts = dict(zip(fit.structure.names, fit.structure.parts(fit.nonlinear), strict=True))
     structure = Structure(model.terms, tuple(added.effect for added in model.effects))
-    start = [fit.nonlinear[:1], *(parts[name] for name in structure.names)]
+    start = [fit.nonlinear[:1], *map(fit.values_of, structure.effects)]
     fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, metric)
     return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
 
@@ -128,15 +123,14 @@ def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] 
 
 def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) -> Fit:
     """Fit one effect more, from where the errors of the model without it tell to begin."""
-    probe = Prober(fit, data, metric).probe(added.effect)
-    if not probe.starts:
+    found = Prober(fit, data, metric).fitted(added.effect)
+    if found is None:
         raise InputError(
             ", ".join(data.sources),
             expected=f"records in which {added.name} can be detected",
             found="none of the rows that it acts on",
         )
-    starts = [np.concatenate([fit.nonlinear, start]) for start in probe.starts]
-    return fit_structure(fit.structure.with_effect(added.effect), data, metric, starts)
+    return found
 
 
 def _bench(fit: Fit, data: LagData, metric: Metric | None = None) -> Bench:
@@ -175,7 +169,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     parameters = fitted_parameters(fit, bench)
     n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
     linear = covariance[n_free:, n_free:]
-    groups = coefficient_groups(fit, data)
+    groups = fit.groups(data)
     effects = tuple(_added(e, parameters[e.name], groups) for e in fit.structure.effects)
     stderr = np.sqrt(np.maximum(np.diag(linear)[:n_terms], 0.0))
     phi = data.sampled(data["phi"])[data.scored()]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
@@ -51,6 +52,43 @@ class Fit:
     def n_parameters(self) -> int:
         """Numbers that were fitted."""
         return len(self.structure.free) + self.coefficients.size
+
+    @classmethod
+    def assembled(
+        cls,
+        structure: Structure,
+        data: LagData,
+        nonlinear: FloatArray,
+        groups: Mapping[str, FloatArray],
+    ) -> Fit:
+        """Put a model together from linear coefficients by group, to be run on some rows.
+
+        What is not among the groups, or of another number on these rows, is zero.
+        """
+        layout = structure.layout(data, nonlinear)
+        coefficients = np.zeros(max(rows.stop for rows in layout.values()))
+        for name, rows in layout.items():
+            if name in groups and len(groups[name]) == rows.stop - rows.start:
+                coefficients[rows] = groups[name]
+        return cls(structure, nonlinear, coefficients, 0.0)
+
+    def groups(self, data: LagData) -> dict[str, FloatArray]:
+        """Return the linear coefficients by what they belong to, as `Structure.layout` names it."""
+        layout = self.structure.layout(data, self.nonlinear)
+        return {name: self.coefficients[rows] for name, rows in layout.items()}
+
+    def values_of(self, effect: Effect) -> FloatArray:
+        """Return the parameters of one effect that are not linear."""
+        return self.structure.values_of(effect, self.nonlinear)
+
+    def without_amplitude(self, effect: Effect, data: LagData) -> Fit:
+        """Return the model with the amplitude of one effect at zero, everything else as it is."""
+        nonlinear, coefficients = self.nonlinear.copy(), self.coefficients.copy()
+        if effect.linear:
+            coefficients[self.structure.layout(data, nonlinear)[effect.name]] = 0.0
+        else:
+            nonlinear[self.structure.slots[effect.name][0]] = 0.0
+        return replace(self, nonlinear=nonlinear, coefficients=coefficients)
 
     def output(self, data: LagData) -> FloatArray:
         """Return the free run, each run from rest."""
@@ -117,8 +155,6 @@ def fit_structure(
     data: LagData,
     metric: Metric,
     starts: Sequence[FloatArray],
-    *,
-    most_steps: int = MOST_STEPS,
 ) -> Fit:
     """Fit τ, terms and effects jointly, from the best of several starts.
 
@@ -135,34 +171,24 @@ def fit_structure(
         How errors are weighed.
     starts : sequence of ndarray of shape (p,)
         Starts of log τ and the parameters of the effects.
-    most_steps : int
-        Bound on the steps.
     """
-    fits = [_descend(structure, data, metric, start, most_steps) for start in starts]
+    fits = [_descend(structure, data, metric, start) for start in starts]
     # Starts may differ in how many columns they bring. Half a log-unit for each, what noise alone
     # would win, and not half log n: too coarse a spline leaves structure behind, one too fine
     # costs little.
     return min(fits, key=lambda fit: fit.cost + 0.5 * fit.n_parameters)
 
 
-def _descend(
-    structure: Structure, data: LagData, metric: Metric, start: FloatArray, most_steps: int
-) -> Fit:
+def _descend(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> Fit:
     low, high = structure.bounds.T
     here = np.clip(np.asarray(start, dtype=np.float64), low, high)
     found = solved(structure, data, metric, here)
-    damping, converged = 1e-4, False
-    for _ in range(most_steps):
-        there, moved, damping = _step(structure, data, metric, here, found, damping)
-        if moved is None:
-            converged = True
-            break
-        gained = found.cost - moved.cost
-        here, found = there, moved
-        if gained < LEAST_GAIN:
-            converged = True
-            break
-    return Fit(structure, here, found.coefficients, found.cost, converged)
+    damping, steps, gained = 1e-4, 0, np.inf
+    while gained >= LEAST_GAIN and steps < MOST_STEPS:
+        before = found
+        here, found, damping = _step(structure, data, metric, here, found, damping)
+        steps, gained = steps + 1, before.cost - found.cost
+    return Fit(structure, here, found.coefficients, found.cost, gained < LEAST_GAIN)
 
 
 def _step(
@@ -172,14 +198,11 @@ def _step(
     here: FloatArray,
     found: Solution,
     damping: float,
-) -> tuple[FloatArray, Solution | None, float]:
-    """Return where a step that gains leads; None where none gains any more."""
+) -> tuple[FloatArray, Solution, float]:
+    """Return where a step that gains leads; the same place where none gains any more."""
     free = list(structure.free)
     low, high = structure.bounds.T
-    slopes = structure.slopes(data, here, found.coefficients, free)
-    slopes[:, 0] += slope_of_starts(structure, data, metric, here, found)
-    seen = metric.seen(slopes, found.decay, data)
-    seen -= found.basis @ (found.basis.T @ seen)
+    seen = free_slopes(structure, data, metric, here, found)
     normal, gradient = seen.T @ seen, seen.T @ found.errors
     size = np.diag(normal).copy()
     size[size <= 0.0] = 1.0
@@ -196,10 +219,20 @@ def _step(
         if np.isfinite(moved.cost) and moved.cost < found.cost:
             return there, moved, max(damping / 10.0, 1e-9)
         damping = max(10.0 * damping, 1e-3)
-    return here, None, damping
+    return here, found, damping
 
 
-def slope_of_starts(
+def free_slopes(
+    structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
+) -> FloatArray:
+    """Return how the errors move with the searched parameters beyond what the linear ones do."""
+    slopes = structure.slopes(data, here, found.coefficients, structure.free)
+    slopes[:, 0] += _slope_of_starts(structure, data, metric, here, found)
+    seen = metric.seen(slopes, found.decay, data)
+    return np.asarray(seen - found.basis @ (found.basis.T @ seen))
+
+
+def _slope_of_starts(
     structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
 ) -> FloatArray:
     """Return how what is left of the starts of the runs moves with log τ.

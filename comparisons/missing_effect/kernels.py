@@ -37,11 +37,8 @@ def varying_lag_pass(
 
     ``a[k]``, ``now[k]`` and ``before[k]`` lead from row k-1 to k.
     """
-    n_kept = 0
-    for r in range(runs.shape[0]):
-        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
     q = columns.shape[1]
-    out = np.empty((n_kept, q))
+    out = np.empty((np.sum((runs[:, 1] - runs[:, 0] - 1) // every + 1), q))
     state = np.empty(q)
     row = 0
     for r in range(runs.shape[0]):
@@ -83,11 +80,8 @@ def second_order_pass(
     every: int,
 ) -> FloatArray:
     """Answer of a₂ d²x/dt² + τ dx/dt + x = u; rates are per step; starts as after a long ramp."""
-    n_kept = 0
-    for r in range(runs.shape[0]):
-        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
     q = columns.shape[1]
-    out = np.empty((n_kept, q))
+    out = np.empty((np.sum((runs[:, 1] - runs[:, 0] - 1) // every + 1), q))
     x = np.empty(q)
     v = np.empty(q)
     row = 0

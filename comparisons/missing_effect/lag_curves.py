@@ -15,7 +15,6 @@ from comparisons.missing_effect.loading import Run, laid_out
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.quantities import model_equation
-from comparisons.missing_effect.uncertainty import without_amplitude
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 241
@@ -71,7 +70,7 @@ def contributions(fit: Fit, data: LagData) -> dict[str, float]:
     full, shown = fit.output(data), _settled(fit, data)
     out = {}
     for effect in fit.structure.effects:
-        value = full - without_amplitude(fit, effect, data).output(data)
+        value = full - fit.without_amplitude(effect, data).output(data)
         out[effect.name] = float(np.sqrt(np.mean(value[shown] ** 2)))
     return out
 
@@ -138,7 +137,7 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
     slow = slow.with_signal("state", ports.driven @ own)
     for effect in fit.structure.in_order:
         if effect.port == "characteristic":
-            values = fit.structure.values_of(effect, fit.nonlinear)
+            values = fit.values_of(effect)
             ports = effect.acts(ports, slow, values)
     q = ports.driven.shape[1]
     value = ports.driven @ fit.coefficients[:q]

@@ -139,19 +139,12 @@ class LagData:
 
     def up_to(self, wanted: NDArray[np.bool_]) -> LagData:
         """Return the runs cut behind their last wanted samples; those without one are left out."""
-        fine, runs, fine_runs, rows = [], [], [], []
-        n = n_fine = 0
-        for run, (fine_start, _) in zip(self._heads(wanted), self.fine_runs, strict=True):
-            length = run.size
-            if length == 0:
-                continue
-            fine_length = (length - 1) * self.every + 1
-            fine.append(np.arange(fine_start, fine_start + fine_length))
-            runs.append((n, n + length))
-            fine_runs.append((n_fine, n_fine + fine_length))
-            rows.append(n_fine + np.arange(length) * self.every)
-            n, n_fine = n + length, n_fine + fine_length
-        kept, fine_rows = np.concatenate(self._heads(wanted)), np.concatenate(fine)
+        heads = zip(self._heads(wanted), self.fine_runs[:, 0], strict=True)
+        pairs = [
+            (run, at + np.arange((run.size - 1) * self.every + 1)) for run, at in heads if run.size
+        ]
+        runs, fine_runs = (edges([own.size for own in each]) for each in zip(*pairs, strict=True))
+        kept, fine_rows = (np.concatenate(each) for each in zip(*pairs, strict=True))
         return replace(
             self,
             signals={name: values[fine_rows] for name, values in self.signals.items()},
@@ -160,9 +153,9 @@ class LagData:
             weight=self.weight[kept],
             part=self.part[kept],
             record=self.record[kept],
-            rows=np.concatenate(rows),
-            runs=np.array(runs, dtype=np.int64),
-            fine_runs=np.array(fine_runs, dtype=np.int64),
+            rows=sample_rows(runs, fine_runs, self.every),
+            runs=runs,
+            fine_runs=fine_runs,
         )
 
     def sampled(self, values: FloatArray) -> FloatArray:
@@ -225,3 +218,15 @@ class LagData:
     def with_parts(self, part: Sequence[int] | NDArray[np.int8]) -> LagData:
         """Return the same rows, split otherwise."""
         return replace(self, part=np.asarray(part, dtype=np.int8))
+
+
+def edges(sizes: Sequence[int]) -> IntArray:
+    """Return first and last-plus-one row of pieces that stand one after the other."""
+    ends = np.cumsum(sizes)
+    return np.column_stack([np.concatenate([[0], ends[:-1]]), ends]).astype(np.int64)
+
+
+def sample_rows(runs: IntArray, fine_runs: IntArray, every: int) -> IntArray:
+    """Return the row of the fine grid of each sample."""
+    starts = zip(fine_runs[:, 0], runs, strict=True)
+    return np.concatenate([at + every * np.arange(stop - first) for at, (first, stop) in starts])

@@ -111,8 +111,6 @@ class LagDiagnosis(Diagnosis):
         τ under every name of the alias sets, in seconds.
     before, after : Fit
         To all rows.
-    before_fitted, after_fitted : Fit
-        To the fitted rows alone.
     left : tuple of two ndarray of shape (n,)
         Errors before and after, on held-out rows by fits to other rows.
     data : LagData
@@ -135,8 +133,6 @@ class LagDiagnosis(Diagnosis):
     tau_by_alias_s: Mapping[str, float]
     before: Fit
     after: Fit
-    before_fitted: Fit
-    after_fitted: Fit
     left: tuple[FloatArray, FloatArray]
     data: LagData
     noise: NoiseModel
@@ -255,14 +251,16 @@ class LagDiagnosis(Diagnosis):
         """Which effects were not fitted, and what was looked for in another way."""
         out = []
         if skipped := ", ".join(effect.name for effect in self.not_fitted):
-            out.append(
-                f"Tested and not worth a fit, since a score test promised too little: {skipped}."
-            )
+            out.append(f"A score test promised too little of these effects to fit them: {skipped}.")
         if self.whole_runs:
-            line = f"found at {self.ripple.frequency_hz:.4g} Hz" if self.ripple else "none found"
+            line = (
+                f"One stands at {self.ripple.frequency_hz:.4g} Hz"
+                if self.ripple
+                else "There is none"
+            )
             out.append(
-                "A second pattern of cells was looked for as a line of the rake differences that "
-                f"no side line of the first has for a partner: {line}."
+                "A second pattern of stall cells would show as a spectral line of the rake "
+                f"differences that the first pattern does not make. {line}."
             )
         return tuple(out)
 

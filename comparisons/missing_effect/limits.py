@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench, LagCandidate
+from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
@@ -416,17 +416,8 @@ class _Drill:
         bench = Bench.start(
             data, fit.structure, metric, [fit.nonlinear], block_rows(data), len(self.catalogue)
         )
-        probe = bench.prober().probe(effect)
-        if not probe.starts:
-            return False
-        candidate = bench.fitted(probe)
-        noise = bench.noise(candidate)
-        bench = bench.in_metric_of(candidate, noise)
-        if noise.coloured or noise.heavy_tailed:
-            own = candidate.nonlinear[bench.fit.nonlinear.size :]
-            candidate = bench.fitted(replace(probe, starts=(own,)))
-        alone = LagCandidate((effect,), candidate)
-        return bench.weighed(alone).accepted
+        race = bench.tried([effect], ())
+        return any(race.system.weighed(c).accepted for c in race.candidates)
 
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         data = self._measured(effect, size, kind, trial)

@@ -18,7 +18,7 @@ from classic_ml.whole_record_run import has_rakes, window_of
 from classic_ml.whole_run import check_rates
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.missing_effect.excitation import amplitude_of, smooth_channel, surge_frequency_hz
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, edges, sample_rows
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IntArray
 
@@ -139,14 +139,13 @@ _Piece: TypeAlias = tuple[list[Run], tuple[float, float]]
 def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:
     """Return the fields of `LagData` that runs make, one after the other."""
     names = [n for n in runs[0].signals if all(n in run.signals for run in runs)]
-    measured, fine = (_bounds(sizes) for sizes in _sizes(runs))
-    starts = zip(fine[:, 0], measured, strict=True)
+    measured, fine = (edges(sizes) for sizes in _sizes(runs))
     return {
         "signals": {name: np.concatenate([run.signals[name] for run in runs]) for name in names},
         "nuisance": np.concatenate([run.nuisance for run in runs]),
         "measured": np.concatenate([run.measured for run in runs]),
         "weight": np.concatenate([run.weight for run in runs]),
-        "rows": np.concatenate([at + every * np.arange(n - m) for at, (m, n) in starts]),
+        "rows": sample_rows(measured, fine, every),
         "runs": measured,
         "fine_runs": fine,
     }
@@ -305,11 +304,6 @@ def _surge_s(phi: FloatArray, runs: IntArray, step_s: float) -> float:
     start, stop = max(runs, key=lambda run: run[1] - run[0])
     surge_hz = surge_frequency_hz(phi[start:stop], 1.0 / step_s)
     return 1.0 / surge_hz if surge_hz > 0.0 else float((stop - start) * step_s)
-
-
-def _bounds(sizes: Sequence[int]) -> IntArray:
-    ends = np.cumsum(sizes)
-    return np.column_stack([np.concatenate([[0], ends[:-1]]), ends]).astype(np.int64)
 
 
 def _parts(record: IntArray, weight: FloatArray, n_records: int) -> NDArray[np.int8]:

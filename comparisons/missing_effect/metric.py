@@ -131,9 +131,5 @@ def projected(columns: FloatArray, decay: FloatArray, data: LagData) -> FloatArr
         d = decay[run]
         norm = float(d @ d)
         if norm > 1e-12:
-            out[run] -= (
-                np.multiply.outer(d, (d @ columns[run]) / norm)
-                if columns.ndim == 2
-                else (d * ((d @ columns[run]) / norm))
-            )
+            out[run] -= np.multiply.outer(d, (d @ columns[run]) / norm)
     return out

@@ -10,10 +10,6 @@ from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
-from comparisons.missing_effect.coefficient_groups import (
-    assembled_fit,
-    coefficient_groups,
-)
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
@@ -21,6 +17,7 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
 
@@ -165,15 +162,10 @@ class Planter:
         """Return the coefficient at every sample, without noise, with one more effect."""
         shape = self.shape(effect)
         own = shape if effect.linear else np.concatenate([[size], shape])
-        groups = coefficient_groups(self.fit, self.data)
-        groups[effect.name] = self.coefficients(effect, size, rng)
-        model = assembled_fit(
-            self.fit.structure.with_effect(effect),
-            self.data,
-            np.concatenate([self.fit.nonlinear, own]),
-            groups,
-        )
-        return model.output(self.data)
+        groups = {**self.fit.groups(self.data), effect.name: self.coefficients(effect, size, rng)}
+        structure = self.fit.structure.with_effect(effect)
+        nonlinear = np.concatenate([self.fit.nonlinear, own])
+        return Fit.assembled(structure, self.data, nonlinear, groups).output(self.data)
 
     @cached_property
     def bare(self) -> FloatArray:
@@ -228,8 +220,8 @@ class Planter:
         low, high = self.data.phi_range
         grid = np.linspace(low, high, 400)
         bump = np.exp(-0.5 * ((grid - 0.5 * (low + high)) / (BUMP_WIDTH * (high - low))) ** 2)
-        degree = self.fit.structure.bare_ports(self.data, self.fit.nonlinear).degree
-        columns = shape_columns(grid, self.data.phi_range, BUMP_INTERVALS, degree + 1)
+        n_base = n_powers(self.fit.structure.terms)
+        columns = shape_columns(grid, self.data.phi_range, BUMP_INTERVALS, n_base)
         found = np.linalg.lstsq(columns, bump, rcond=None)[0]
         return np.asarray(found / np.max(np.abs(columns @ found)))
 

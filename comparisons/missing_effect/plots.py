@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from itertools import cycle
-from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.quantities import numbers_of, plain_name, tau_ms
 from comparisons.missing_effect.scales import scale_of, typical
 from comparisons.missing_effect.where_words import SYMBOLS
 from comparisons.page.style import (
@@ -43,9 +41,7 @@ DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 SMALL, TINY = 8.5, 7.5
 # Panels beside each other; candidates of a round; runs in the chart of errors (tables hold all).
 COLUMNS, CANDIDATES_SHOWN, MOST_RUNS = 3, 8, 16
-LONGEST_LABEL, LONGEST_NAME, LONGEST_LINE = 44, 30, 130
-# A heading longer than this is set smaller.
-HEADING_LETTERS, HEADING_SIZE = 72, 14.0
+LONGEST_LABEL, LONGEST_NAME = 44, 30
 # Errors further apart than this are drawn on a logarithmic axis.
 LOGARITHMIC_RATIO = 8.0
 # Periods and rows of a stretch that is drawn, and how many are compared.
@@ -53,11 +49,6 @@ PERIODS, FEWEST_ROWS, MOST_ROWS = 6.0, 100, 1800
 STARTS = 64
 MOST_SWINGS = 1e6
 LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
-_HEADINGS = {
-    "nothing_missing": "Nothing missing",
-    "noise_model_wrong": "Nothing missing; the noise is not white and normal",
-    "unexplained_structure": "Something is left that has no name",
-}
 
 
 def draw_diagnosis(d: Diagnosis) -> Figure:
@@ -77,44 +68,36 @@ def draw_diagnosis(d: Diagnosis) -> Figure:
         the rms errors of that output on every record. Last, the loss in reversed flow where there
         is one.
     """
-    lines = [shorten(printable(text, 400), LONGEST_LINE, placeholder=" …") for text in _lines(d)]
-    heading = printable(_heading(d), 400)
     reverse = d.reverse_loss if isinstance(d, LagDiagnosis) else None
-    figure = new_figure(height_in=(10.6 if reverse is None else 13.2) + 0.2 * len(lines))
-    size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
-    look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
-    figure.suptitle(heading, fontsize=size, fontweight="bold", **look)
-    ratios = [0.02 + 0.1 * len(lines), 1.15, 0.8, 1.15, 1.35]
-    ratios += [] if reverse is None else [1.2]
-    grid = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
-    said = figure.add_subplot(grid[0])
-    said.set_axis_off()
-    said.text(0.0, 0.0, "\n".join(lines), fontsize=9, color=INK, va="bottom")
+    figure = new_figure(height_in=9.8 if reverse is None else 12.4)
+    ratios = [1.15, 0.8, 1.15, 1.35, *([] if reverse is None else [1.2])]
     run, wheres = d.telling_run, d.wheres
     rows, n = telling_stretch(run), min(len(run.outputs), COLUMNS)
-    tops, lows = (grid[i].subgridspec(1, n) for i in (1, 2))
+    # One grid for all panels, so that their edges lie on common lines.
+    columns = max(n, 2)
+    grid = figure.add_gridspec(len(ratios), columns, height_ratios=ratios)
+    halves = (slice(None, columns - 1), slice(columns - 1, None))
     for j in range(n):
-        upper = dress(figure.add_subplot(tops[j]))
-        lower = dress(figure.add_subplot(lows[j], sharex=upper))
+        own = slice(j, j + 1) if n > 1 else slice(None)
+        upper = dress(figure.add_subplot(grid[0, own]))
+        lower = dress(figure.add_subplot(grid[1, own], sharex=upper))
         _run_panels(upper, lower, d, run, rows, j)
         if j == 0:
             lower.set_xlabel(f"time [s], {printable(run.title)}", fontsize=9)
-            legend(upper, loc="upper right", fontsize=TINY, ncols=3)
+            legend(upper, loc="upper right", fontsize=TINY, ncols=3 if n == 1 else 1)
     if wheres:
-        middle = grid[3].subgridspec(1, 2, width_ratios=[1.1, 1.0])
-        left, right = (dress(figure.add_subplot(middle[i])) for i in range(2))
+        left, right = (dress(figure.add_subplot(grid[2, half])) for half in halves)
         _spectrum(left, wheres[0], two=bool(d.missing))
         legend(left, loc="best", fontsize=TINY, handlelength=2.2)
         _over_signal(right, wheres[0], two=bool(d.missing))
-    bottom = grid[4].subgridspec(1, 2)
-    _candidates(figure.add_subplot(bottom[0]), d)
-    last = dress(figure.add_subplot(bottom[1]))
+    _candidates(figure.add_subplot(grid[3, halves[0]]), d)
+    last = dress(figure.add_subplot(grid[3, halves[1]]))
     if isinstance(d, LagDiagnosis):
         _curves(last, d)
     else:
         _errors(last, d, wheres[0].of.output if wheres else next(iter(d.outputs)))
     if reverse is not None:
-        _reverse(dress(figure.add_subplot(grid[5])), reverse)
+        _reverse(dress(figure.add_subplot(grid[4, :])), reverse)
     return figure
 
 
@@ -156,7 +139,7 @@ def _over_signal(ax: Axes, where: Where, *, two: bool) -> None:
             ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
     ax.locator_params(axis="x", nbins=6)
     name, simulated = _shown(where.of.signal), " simulated" * where.of.simulated
-    title = f"{_shown(where.of.output)}: mean residual over {name}"
+    title = f"{_shown(where.of.output)}: mean residual"
     along = f"{name}{simulated} {printable(over.bracketed)}"
     _name(ax, title, along, f"mean residual {scale.bracketed}")
 
@@ -193,42 +176,14 @@ def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
     known = [size for size in (*before, *after) if size > 0.0]
     if known and max(known) > LOGARITHMIC_RATIO * min(known):
         ax.set_xscale("log")
+    else:
+        ax.locator_params(axis="x", nbins=4)
     ax.set_yticks(place, [printable(run.title, LONGEST_NAME) for run in runs], fontsize=SMALL)
     ax.set_ylim(len(runs) - 0.4, -0.6)
     ax.grid(False, axis="y")
-    title = f"{printable(output, LONGEST_NAME)}: errors of every record"
+    title = f"{printable(output, LONGEST_NAME)}: every record"
     _name(ax, title, f"rms error {printable(scale.bracketed)}")
     legend(ax, loc="best", fontsize=TINY)
-
-
-def _heading(d: Diagnosis) -> str:
-    """Return the verdict in a line."""
-    if not d.missing:
-        return _HEADINGS[d.verdict]
-    lead = {"unnamed_term": "Missing, without a name", "provisional": "Missing, provisional name"}
-    names = []
-    for item in d.missing:
-        more = len(item.alias_set) - 2
-        several = " or ".join(map(plain_name, item.alias_set[:2])) + f" or {more} more" * (more > 0)
-        names.append(item.label if item.unnamed else several)
-    return f"{lead.get(d.verdict, 'Missing')}: {' and '.join(names)}"
-
-
-def _lines(d: Diagnosis) -> list[str]:
-    """Return what stands below the heading: each effect's equation and numbers, τ, the gap."""
-    out = [
-        f"{plain_name(item.label)}: {item.equation};  {numbers_of(item.effect, item.parameters)}"
-        for item in d.missing
-    ]
-    closed = d.missing and d.gap.shrink
-    last = [f"{100.0 * min(d.gap.shrink, 1.0):.1f} % of the gap closed"] if closed else []
-    if isinstance(d, LagDiagnosis):
-        if d.reverse_loss is not None:
-            share = f"{100.0 * d.reverse_loss.share:.0f} %"
-            last.append(f"the loss explains {share} of what is left in reversed flow (last panel)")
-        fell = f"{tau_ms(d.tau_before_s)} → " if d.missing else ""
-        last.insert(0, f"τ {fell}{tau_ms(d.tau_after_s, d.tau_stderr_s)}")
-    return [*out, ";  ".join(last)] if last else out
 
 
 def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: slice, j: int) -> None:
@@ -300,6 +255,7 @@ def _candidates(ax: Axes, d: Diagnosis) -> None:
         beside = max(size, 0.0) + 0.02 * largest
         ax.text(beside, place + 0.2, number, va="center", fontsize=TINY, color=QUIET)
     ax.set_xlim(0.0, 1.5 * largest)
+    ax.locator_params(axis="x", nbins=5)
     ax.set_ylim(max(len(rows), 4) - 0.45, -0.55)
     ax.set_yticks([])
     ax.grid(False)
@@ -345,7 +301,8 @@ def _reverse(ax: Axes, reverse: ReverseLoss) -> None:
     ax.plot(squared, reverse.size * squared, color=AFTER, lw=1.8, label=printable(words))
     ax.axhline(0.0, color=INK, lw=0.7)
     along = r"$\varphi^2$ in reversed flow, averaged over the stall cells [-]"
-    _name(ax, "reverse flow branch, where it acts", along, "ψ' left [-]")
+    share = f"the loss explains {100.0 * reverse.share:.0f} % of what is left in reversed flow"
+    _name(ax, f"reverse flow branch: {share}", along, "ψ' left [-]")
     legend(ax, loc="upper left", fontsize=TINY)
 
 

@@ -39,8 +39,8 @@ class Ports:
         What is added behind the lag, one a linear coefficient.
     added_names : tuple of str
         Their names.
-    degree : int
-        Highest power of φ up to which the base terms hold all.
+    n_powers : int
+        Powers of φ, from the constant on without a gap, among the base terms.
     known : ndarray of shape (n,), optional
         What is added at the samples without a coefficient.
     """
@@ -54,18 +54,16 @@ class Ports:
     out_gain: FloatArray | None = None
     added: FloatArray | None = None
     added_names: tuple[str, ...] = ()
-    degree: int = 0
+    n_powers: int = 0
     known: FloatArray | None = None
 
     @classmethod
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
         """Return the ports of the base model at a φ."""
-        powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
-        degree = next((k for k, name in enumerate(powers) if name not in terms), len(terms)) - 1
         names = tuple(terms)
         known = phi is data.signals["phi"]
         columns = data.terms_of_phi(names) if known else evaluate_terms(list(names), phi)
-        return cls(phi, columns, names, degree=degree)
+        return cls(phi, columns, names, n_powers=n_powers(names))
 
     def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more inputs of the lag."""
@@ -109,6 +107,12 @@ class Ports:
             added=added,
             added_names=() if added is None else ("",),
         )
+
+
+def n_powers(terms: Sequence[str]) -> int:
+    """Return how many powers of φ, from the constant on without a gap, are among terms."""
+    powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
+    return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
 
 
 @dataclass(frozen=True)

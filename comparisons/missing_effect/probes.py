@@ -11,7 +11,7 @@ from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, s
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate
-from comparisons.missing_effect.fit import Fit, Solution, slope_of_starts, solved
+from comparisons.missing_effect.fit import Fit, Solution, fit_structure, free_slopes, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.ports import Ports, respond
@@ -79,16 +79,10 @@ class Prober:
         self.fit, self.data, self.metric = fit, data, metric
         self.solution: Solution = solved(fit.structure, data, metric, fit.nonlinear)
         self.ports = fit.structure.ports(data, fit.nonlinear)
-        slopes = fit.structure.slopes(
-            data, fit.nonlinear, self.solution.coefficients, fit.structure.free
-        )
-        slopes[:, 0] += slope_of_starts(fit.structure, data, metric, fit.nonlinear, self.solution)
-        seen = metric.seen(slopes, self.solution.decay, data)
-        basis = self.solution.basis
-        seen -= basis @ (basis.T @ seen)
-        self.basis = np.column_stack([basis, orthonormal(seen)])
+        seen = free_slopes(fit.structure, data, metric, fit.nonlinear, self.solution)
+        self.basis = np.column_stack([self.solution.basis, orthonormal(seen)])
         self.errors = self.solution.errors
-        self._here = self._contracted(self.ports)
+        self._here = self._answer(self.ports)
 
     def probe(self, effect: Effect) -> Probe:
         """Return the score of one effect at the best of its starts."""
@@ -111,6 +105,16 @@ class Prober:
             # Nothing is searched: each of the held values is tried.
             kept = tuple(starts[i] for i in order)
         return Probe(effect, best[0], best[1].shape[1], kept, best[1])
+
+    def fitted(self, effect: Effect, more: Sequence[FloatArray] = ()) -> Fit | None:
+        """Fit the model with one effect more, from where its score tells to begin, and others.
+
+        Returns None where there is nowhere to begin.
+        """
+        own = [*self.probe(effect).starts, *more]
+        starts = [np.concatenate([self.fit.nonlinear, values]) for values in own]
+        structure = self.fit.structure.with_effect(effect)
+        return fit_structure(structure, self.data, self.metric, starts) if starts else None
 
     def joint(self, columns: Sequence[FloatArray]) -> tuple[float, FloatArray]:
         """Return the gain and the basis of many columns at once."""
@@ -151,14 +155,11 @@ class Prober:
             ports = structure.ports(self.data, np.concatenate([self.fit.nonlinear, moved]))
         else:
             ports = effect.acts(self.ports, self.data, moved)
-        return (self._contracted(ports) - self._here)[:, None] / amplitude.step
+        return (self._answer(ports) - self._here)[:, None] / amplitude.step
 
-    def _contracted(self, ports: Ports) -> FloatArray:
-        coefficients, data = self.solution.coefficients, self.data
-        q, k = ports.driven.shape[1], data.nuisance.shape[1]
-        nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
-        answer = respond(ports.contracted(coefficients), data, self.fit.tau_s, nuisance)
-        return np.asarray(answer.columns.sum(axis=1) + answer.known)
+    def _answer(self, ports: Ports) -> FloatArray:
+        fit = self.fit
+        return fit.structure.answer(self.data, ports, fit.nonlinear, self.solution.coefficients)
 
     def _score(self, columns: FloatArray) -> tuple[float, FloatArray, float]:
         """Return gain, own orthonormal columns, and the amplitude of a single column."""

@@ -70,10 +70,8 @@ def quantity(value: float, stderr: float, unit: str) -> str:
     unit : str
         SI; ``"1"`` without one. Small times are written in ms; an error that is not known is NaN.
     """
-    limit, factor, smaller = _SMALLER.get(unit, (0.0, 1.0, ""))
-    shown = _UNITS.get(unit, unit)
-    if abs(value) < limit:
-        value, stderr, shown = factor * value, factor * stderr, smaller
+    factor, shown = _read_in(value, unit)
+    value, stderr = factor * value, factor * stderr
     if math.isnan(stderr):
         return f"about {float(f'{value:.2g}'):g} {shown}".rstrip()
     if stderr <= 0.0:
@@ -91,11 +89,14 @@ def size_words(value: float, unit: str) -> str:
     unit : str
         SI; ``"1"`` without one.
     """
-    if unit == "s" and value < 1.0:
-        return f"{significant(1e3 * value, 2)} ms"
-    if unit == "s^2" and value < 1e-2:
-        return f"{significant(1e6 * value, 2)} ms²"
-    return f"{significant(value, 2)} {'' if unit == '1' else unit}".rstrip()
+    factor, shown = _read_in(value, unit)
+    return f"{significant(factor * value, 2)} {shown}".rstrip()
+
+
+def _read_in(value: float, unit: str) -> tuple[float, str]:
+    """Return the factor to the unit in which a number reads well, and that unit."""
+    limit, factor, smaller = _SMALLER.get(unit, (0.0, 1.0, ""))
+    return (factor, smaller) if abs(value) < limit else (1.0, _UNITS.get(unit, unit))
 
 
 def tau_ms(tau_s: float, stderr_s: float | None = None) -> str:

@@ -48,11 +48,11 @@ READING = (
     "are a lag, a friction or a hysteresis. Bottom: what competed, the alias set hatched or pale."
 )
 _REFUSED = {
-    "fitted rows": "fitted",
-    "later time": "held out",
-    "other record": "other",
-    "held-out blocks": "z",
-    "share": "explains",
+    "fitted rows": "gains too little",
+    "later time": "no gain held out",
+    "other record": "no gain on the other record",
+    "held-out blocks": "gain not steady",
+    "share": "explains too little",
 }
 
 
@@ -275,12 +275,12 @@ def _candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
 
 def _legend(rows: Sequence[CandidateRow]) -> str:
     """Say what the columns of the candidates are."""
-    gains = "held out, other: gains in log-units there; z of the held-out gain."
+    gains = "held out, other: the gain there, in log-units; z: of the held-out gain"
     if any(math.isfinite(row.share) for row in rows):
-        return f"Share of the squared errors that it explains, and the share asked for; {gains}"
+        return f"explains: the share of the squared errors; asked: the least share; {gains}."
     promised = any(math.isfinite(row.promised) for row in rows)
-    first = "Promised by a score test before the fit; score" if promised else "Score"
-    return f"{first}, fitted, {gains.removesuffix('.')}; p with all that was searched."
+    first = "promised: by a score test before the fit; " if promised else ""
+    return f"{first}score, fitted, {gains}; p: chance of the gain, the whole search counted."
 
 
 def _text(value: float, form: str = "") -> str:
@@ -290,5 +290,7 @@ def _text(value: float, form: str = "") -> str:
 
 
 def _fate(row: CandidateRow) -> str:
-    on = ", ".join(_REFUSED[name] for name in row.refused_on if name in _REFUSED)
+    # What explains too little was not tried on cycles left out.
+    reasons = ("share",) if "share" in row.refused_on else row.refused_on
+    on = ", ".join(_REFUSED[name] for name in reasons if name in _REFUSED)
     return f"refused: {on}" if row.fate == "refused" and on else row.fate

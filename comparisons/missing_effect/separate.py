@@ -8,17 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from comparisons.missing_effect.candidates import refitted_on
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
-from comparisons.missing_effect.coefficient_groups import (
-    assembled_fit,
-    coefficient_groups,
-    refitted_on,
-)
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
 from comparisons.missing_effect.extended_parts import FrozenReferences
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.metric import Metric
@@ -234,9 +230,7 @@ class _Rivals:
         without = refitted_on(Fit(structure, nonlinear, np.zeros(0), 0.0), data, metric)
         prober = Prober(without, data, metric)
         fits = {
-            member.name: after
-            if member.name == winner
-            else _fitted(without, member, data, metric, prober)
+            member.name: after if member.name == winner else prober.fitted(member) or without
             for member in members
         }
         plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
@@ -255,9 +249,9 @@ class _Rivals:
             asked = float(max(TOLD_APART, np.sqrt(2.0 * gap)))
             for rival in self.effects:
                 if rival.name != truth:
-                    known = self.fits[rival.name]
-                    own = known.structure.values_of(rival, known.nonlinear)
-                    fit = _fitted(base, rival, data, self.metric, prober, own)
+                    own = self.fits[rival.name].values_of(rival)
+                    begun = own if rival.adapted is None else rival.adapted(data, own)
+                    fit = prober.fitted(rival, [begun]) or base
                     out.append(Distance(truth, rival.name, _sigma(fit), asked))
         return tuple(out)
 
@@ -283,11 +277,11 @@ class _Rivals:
     def _between_taps(self, name: str, clean: FloatArray) -> float:
         """Return how far two taps differ that both are noisy, one with an effect of its own."""
         fit = self.fits[name]
-        groups = coefficient_groups(fit, self.data)
+        groups = fit.groups(self.data)
         structure, nonlinear = fit.structure.without(
             next(effect for effect in self.effects if effect.name == name), fit.nonlinear
         )
-        bare = assembled_fit(structure, self.data, nonlinear, groups).output(self.data)
+        bare = Fit.assembled(structure, self.data, nonlinear, groups).output(self.data)
         decay = fit.structure.respond_decay(self.data, fit.nonlinear)
         seen = self.metric.seen(clean - bare, decay, self.data)
         return float(np.linalg.norm(seen) / np.sqrt(2.0))
@@ -298,33 +292,15 @@ class _Rivals:
     def _simulated(self, fit: Fit, there: LagData, rng: np.random.Generator) -> FloatArray:
         """Return ψ' of a model in an experiment, each effect measured from where it was fitted."""
         data = replace(there, **self.references.levels)
-        groups = coefficient_groups(fit, self.data)
+        groups = fit.groups(self.data)
         for effect in fit.structure.effects:
             if effect.episodes:
-                gate = float(fit.structure.values_of(effect, fit.nonlinear)[1])
+                gate = float(fit.values_of(effect)[1])
                 size = float(np.sqrt(2.0 * np.mean(groups[effect.name] ** 2)))
                 phase = rng.uniform(0.0, 2.0 * np.pi, len(stall_episodes(data, gate)))
                 waves = np.column_stack([np.cos(phase), np.sin(phase)])
                 groups[effect.name] = size * waves.ravel()
-        return assembled_fit(fit.structure, data, fit.nonlinear, groups).output(data)
-
-
-def _fitted(
-    base: Fit,
-    effect: Effect,
-    data: LagData,
-    metric: Metric,
-    prober: Prober,
-    own: FloatArray | None = None,
-) -> Fit:
-    """Fit a model with one effect more, from where its score tells and from where it was."""
-    begun = list(prober.probe(effect).starts)
-    if own is not None:
-        begun.append(own if effect.adapted is None else effect.adapted(data, own))
-    starts = [np.concatenate([base.nonlinear, values]) for values in begun]
-    if not starts:
-        return base
-    return fit_structure(base.structure.with_effect(effect), data, metric, starts)
+        return Fit.assembled(fit.structure, data, fit.nonlinear, groups).output(data)
 
 
 def _sigma(fit: Fit) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise, starmap
 
 import numpy as np
@@ -62,31 +63,21 @@ class Structure:
         """Small steps of the parameters that are not linear, of shape (p,)."""
         return np.array([1e-4, *(p.step for effect in self.effects for p in effect.nonlinear)])
 
-    @property
-    def slots(self) -> tuple[range, ...]:
-        """Where in the vector the parameters of each effect stand."""
+    @cached_property
+    def slots(self) -> dict[str, range]:
+        """Where in the vector the parameters of each effect stand, by its name."""
         ends = np.cumsum([1, *(len(effect.nonlinear) for effect in self.effects)]).tolist()
-        return tuple(range(first, end) for first, end in pairwise(ends))
-
-    def slot_of(self, effect: Effect) -> range:
-        """Return where in the vector the parameters of one effect stand."""
-        return self.slots[self.names.index(effect.name)]
+        return dict(zip(self.names, starmap(range, pairwise(ends)), strict=True))
 
     @property
     def free(self) -> tuple[int, ...]:
         """Which of the parameters that are not linear are fitted."""
-        pairs = zip(self.effects, self.slots, strict=True)
-        return (0, *(own[i] for effect, own in pairs for i in effect.free))
+        return (0, *(self.slots[e.name][i] for e in self.effects for i in e.free))
 
     @property
     def switching(self) -> tuple[int, ...]:
         """Which of them are thresholds at which the answer may change at once."""
-        pairs = zip(self.effects, self.slots, strict=True)
-        return tuple(own[i] for effect, own in pairs if effect.switches for i in effect.free)
-
-    def parts(self, nonlinear: FloatArray) -> list[FloatArray]:
-        """Return the values of each effect out of the vector."""
-        return [nonlinear[own.start : own.stop] for own in self.slots]
+        return tuple(self.slots[e.name][i] for e in self.effects if e.switches for i in e.free)
 
     def ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
         """Return what stands at each port for log τ and the parameters of the effects."""
@@ -111,7 +102,8 @@ class Structure:
 
     def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
         """Return the values of one effect out of the vector."""
-        return self.parts(nonlinear)[self.names.index(effect.name)]
+        own = self.slots[effect.name]
+        return nonlinear[own.start : own.stop]
 
     def layout(self, data: LagData, nonlinear: FloatArray) -> dict[str, slice]:
         """Return where the linear coefficients of the terms, nuisances and effects stand."""
@@ -130,18 +122,17 @@ class Structure:
 
     def adapted(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return the vector with held values as other rows ask for them."""
-        parts = [
-            values if effect.adapted is None else effect.adapted(data, values)
-            for effect, values in zip(self.effects, self.parts(nonlinear), strict=True)
-        ]
-        return np.concatenate([nonlinear[:1], *parts])
+        out = nonlinear.copy()
+        for effect in self.effects:
+            if effect.adapted is not None:
+                own = self.values_of(effect, nonlinear)
+                out[list(self.slots[effect.name])] = effect.adapted(data, own)
+        return out
 
     def without(self, effect: Effect, nonlinear: FloatArray) -> tuple[Structure, FloatArray]:
         """Return the structure and the vector without one effect."""
-        parts = self.parts(nonlinear)
-        kept = [i for i, name in enumerate(self.names) if name != effect.name]
-        rest = Structure(self.terms, tuple(self.effects[i] for i in kept))
-        return rest, np.concatenate([nonlinear[:1], *[parts[i] for i in kept]])
+        kept = tuple(e for e in self.effects if e.name != effect.name)
+        return Structure(self.terms, kept), np.delete(nonlinear, self.slots[effect.name])
 
     def respond(self, data: LagData, nonlinear: FloatArray) -> Response:
         """Return the answer to every linear coefficient, at the samples."""
@@ -155,7 +146,7 @@ class Structure:
 
     def output(self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return the model's answer for given coefficients, of shape (n,)."""
-        return self._contracted(data, self.ports(data, nonlinear), nonlinear, coefficients)
+        return self.answer(data, self.ports(data, nonlinear), nonlinear, coefficients)
 
     def slopes(
         self,
@@ -180,7 +171,7 @@ class Structure:
         ndarray of shape (n, len(which))
         """
         here = self.ports(data, nonlinear)
-        base = self._contracted(data, here, nonlinear, coefficients)
+        base = self.answer(data, here, nonlinear, coefficients)
         out = np.empty((base.size, len(which)))
         for column, i in enumerate(which):
             step = self.steps[i]
@@ -189,14 +180,15 @@ class Structure:
             moved = nonlinear.copy()
             moved[i] += step
             ports = here if i == 0 else self.ports(data, moved)
-            out[:, column] = (self._contracted(data, ports, moved, coefficients) - base) / step
+            out[:, column] = (self.answer(data, ports, moved, coefficients) - base) / step
         return out
 
-    def _contracted(
+    def answer(
         self, data: LagData, ports: Ports, nonlinear: FloatArray, coefficients: FloatArray
     ) -> FloatArray:
+        """Return the model's answer with something of one's own at the ports, of shape (n,)."""
         q, k = ports.driven.shape[1], data.nuisance.shape[1]
-        joined = ports.contracted(coefficients)
         nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
-        answer = respond(joined, data, float(np.exp(nonlinear[0])), nuisance)
+        tau_s = float(np.exp(nonlinear[0]))
+        answer = respond(ports.contracted(coefficients), data, tau_s, nuisance)
         return np.asarray(answer.columns.sum(axis=1) + answer.known)

@@ -1,23 +1,21 @@
-"""A fit to all rows, and the standard errors of its numbers."""
+"""Standard errors of the numbers of a fit, and how large an effect is beside its own."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.covariance import orthonormal, sandwich
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.fit import Fit, fit_structure, solved
+from comparisons.missing_effect.fit import Fit, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.ports import n_powers
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from comparisons.missing_effect.candidates import Bench
 
 # Below this many standard errors an effect is not distinguished from none: its 95 % interval
 # holds zero.
@@ -27,16 +25,6 @@ LEAST_BASIS = 1e-9
 
 # Steps of a threshold, as shares of the range of φ.
 JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
-
-
-def on_all_rows(fit: Fit, bench: Bench) -> Fit:
-    """Return a model fitted again, to the fitted and the held-out rows alike."""
-    from comparisons.missing_effect.candidates import nudged
-
-    data = with_own_state(bench.data, fit).over_all_phi()
-    start = fit.structure.adapted(data, fit.nonlinear)
-    start = nudged(fit.structure, data, bench.metric, start)
-    return fit_structure(fit.structure, data, bench.metric, [start])
 
 
 def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter, ...]]:
@@ -55,7 +43,7 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
     columns = fit.structure.layout(data, fit.nonlinear)
     for effect in fit.structure.effects:
-        slots, numbers = iter(fit.structure.slot_of(effect)), []
+        slots, numbers = iter(fit.structure.slots[effect.name]), []
         for parameter in effect.parameters:
             if parameter.kind == "linear":
                 value, error = _amplitude(effect, fit, data, columns[effect.name], linear)
@@ -92,20 +80,16 @@ def _amplitude(
 ) -> tuple[float, float]:
     coefficients, errors = fit.coefficients[rows], stderr[rows]
     if effect.name == "characteristic_shape":
-        values = fit.structure.values_of(effect, fit.nonlinear)
-        low, high = float(values[1]), float(values[2])
+        intervals, low, high = fit.values_of(effect).tolist()
         grid = np.linspace(low, high, 200)
-        degree = fit.structure.bare_ports(data, fit.nonlinear).degree
-        curve = shape_columns(grid, (low, high), int(values[0]), degree + 1)
+        curve = shape_columns(grid, (low, high), int(intervals), n_powers(fit.structure.terms))
         added = curve @ coefficients
         worst = int(np.argmax(np.abs(added)))
         return float(added[worst]), float(np.sqrt(np.sum((curve[worst] * errors) ** 2)))
     if effect.episodes:
         size = float(np.sqrt(2.0 * np.mean(coefficients**2)))
-        n = max(
-            len(stall_episodes(data, float(fit.structure.values_of(effect, fit.nonlinear)[1]))), 1
-        )
-        return size, float(np.sqrt(np.mean(errors**2) / n))
+        n = len(stall_episodes(data, float(fit.values_of(effect)[1])))
+        return size, float(np.sqrt(np.mean(errors**2) / max(n, 1)))
     return float(coefficients[0]), float(errors[0])
 
 
@@ -135,9 +119,8 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     data, structure = with_own_state(bench.data, fit), fit.structure
     solution = solved(structure, data, bench.metric, fit.nonlinear)
     fit = replace(fit, coefficients=solution.coefficients)
-    lost = fit.output(data) - without_amplitude(fit, effect, data).output(data)
-    own = structure.slot_of(effect)
-    free = [i for i in structure.free if i not in own]
+    lost = fit.output(data) - fit.without_amplitude(effect, data).output(data)
+    free = [i for i in structure.free if i not in structure.slots[effect.name]]
     slopes = structure.slopes(data, fit.nonlinear, solution.coefficients, free)
     columns = structure.respond(data, fit.nonlinear).columns
     if effect.linear:
@@ -152,13 +135,3 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     error = float(np.sqrt(np.sum(sums**2) * n_blocks / max(n_blocks - 1, 1)))
     squared = float(alone @ alone)
     return squared / error if error > 0.0 else (np.inf if squared > 0.0 else 0.0)
-
-
-def without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
-    """Return a fit with the amplitude of one effect at zero, everything else as it is."""
-    nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
-    if effect.linear:
-        coefficients[fit.structure.layout(data, fit.nonlinear)[effect.name]] = 0.0
-    else:
-        nonlinear[fit.structure.slot_of(effect)[0]] = 0.0
-    return replace(fit, nonlinear=nonlinear, coefficients=coefficients)

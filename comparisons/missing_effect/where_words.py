@@ -113,15 +113,15 @@ def _number(where: Where, cell: Cell) -> str:
 
 
 def _of_judgement(where: Where) -> str:
-    verdict = (
-        f"Beyond chance, strongest first: {', '.join(where.standing_out)}"
-        if where.standing_out
-        else "Nothing stands out"
-    )
-    verdict += f": {where.looks} looks, in which chance reaches z {where.bound_z:.1f}"
+    signal = SYMBOLS.get(where.of.signal, where.of.signal)
+    panels = {"time": "in time", "frequency": "over frequency", "flow": f"over {signal}"}
+    found = ", ".join(panels[name] for name in where.standing_out)
+    said = f"The residual exceeds chance {found}, the strongest first" if found else ""
+    said = said or "The residual nowhere exceeds chance"
+    said += f". Chance reaches z = {where.bound_z:.1f} in the {where.looks} numbers compared."
     if where.background > HIGH_BACKGROUND:
-        verdict += (
-            f"; even the quietest quarter of the spectrum lies at {where.background:.2f} times the "
-            "noise, and all z are held against that"
+        said += (
+            f" Even the quietest quarter of the spectrum lies at {where.background:.2f} times the "
+            "noise; every z is measured against that level."
         )
-    return f"{verdict}."
+    return said

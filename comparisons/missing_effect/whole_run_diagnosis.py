@@ -21,7 +21,7 @@ from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
-from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
+from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     SHAPED,
@@ -75,7 +75,8 @@ def diagnose_whole_runs(
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
     why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
-    blind = effects if why or line else []
+    why = why or (SECOND_PATTERN if line else "")
+    blind = effects if why else []
     effects = [] if blind else effects
     base = plain_bench(data, terms, len(effects), block_rows(data))
     if n_twins and effects:
@@ -120,7 +121,10 @@ def diagnose_whole_runs(
         verdict=verdict,
         missing=missing,
         unavailable=unavailable,
-        untold=_blind(others, why or SECOND_PATTERN) if blind else _untold(others, nulls),
+        catalogue=tuple(catalogue),
+        untold=tuple(Untold(e.name, why, BLIND[why]) for e in others)
+        if blind
+        else _untold(others, nulls),
         absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line)
@@ -135,7 +139,7 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
     effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
     fit, data = fits[effect.name], bench.data
-    added = fit.output(data) - without_amplitude(fit, effect, data).output(data)
+    added = fit.output(data) - fit.without_amplitude(effect, data).output(data)
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
@@ -150,25 +154,18 @@ def _firm(members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> bool:
     )
 
 
-def _blind(effects: Sequence[Effect], why: str) -> tuple[Untold, ...]:
-    return tuple(Untold(e.name, why, BLIND[why]) for e in effects)
-
-
 def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
     found = []
     for effect in effects:
         null = nulls.by_effect.get(effect.name)
         if null is None or null.can_be_told or not np.isfinite(null.matters):
             continue
+        seen = f"{null.decided_from:.2g}{'' if null.unit == '1' else f' {null.unit}'}"
         why = (
-            f"by twins of this record it is seen from {null.decided_from:.2g} {null.unit} on, and "
+            f"measured twins of this record show that it is seen from {seen} on, and "
             f"{null.matters:.2g} would matter"
         )
-        found.append(
-            Untold(
-                effect.name, why.replace(" 1 on,", " on,"), f"{effect.confirm}; {BETTER_RECORDS}"
-            )
-        )
+        found.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
     return tuple(found)
 
 

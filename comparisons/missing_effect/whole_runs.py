@@ -21,7 +21,6 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
 from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
-from comparisons.missing_effect.coefficient_groups import coefficient_groups
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
@@ -285,8 +284,8 @@ def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
     if effect.name in SHAPED:
         return float(np.sqrt(max(1.0 - fit.cost / bench.fit.cost, 0.0))) * rms_left(bench)
     if effect.linear:
-        return float(coefficient_groups(fit, bench.data)[effect.name][0])
-    values = fit.structure.values_of(effect, fit.nonlinear)
+        return float(fit.groups(bench.data)[effect.name][0])
+    values = fit.values_of(effect)
     if effect.name == "facility_heating":
         # Size and time are known together alone: what is lost by the end of the record.
         return float(values[0] * -np.expm1(-np.max(clock_s(bench.data)) / values[1]))

@@ -139,12 +139,11 @@ def effect_words(item: MissingEffect) -> tuple[str, ...]:
 
 def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     """Say what would have been seen, what is not decided, and what could not be tried."""
-    absent = ", ".join(
-        f"{plain_name(a.effect)} (from {size_words(a.size, a.unit)} on)" for a in d.absent
-    )
-    out = [f"Not there, and would have been seen: {absent}."] if absent else []
+    absent = ", ".join(f"{plain_name(a.effect)} ({size_words(a.size, a.unit)})" for a in d.absent)
+    lead = "These effects are absent; each would have been seen from the size in brackets on"
+    out = [f"{lead}: {absent}."] if absent else []
     out += [
-        f"Not decided by these records: {plain_name(u.effect)}, {u.why}. It needs "
+        f"These records cannot decide about {plain_name(u.effect)}: {u.why}. What would decide: "
         f"{u.what_would_tell}."
         for u in d.untold
     ]

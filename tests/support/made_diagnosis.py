@@ -195,8 +195,6 @@ def _concluded(
         tau_by_alias_s=tau_by_alias,
         before=base,
         after=after,
-        before_fitted=base,
-        after_fitted=after,
         left=(errors_on(base, bench.data, Metric())[0], errors_on(after, data, Metric())[0]),
         data=data,
         noise=noise,

@@ -6,8 +6,9 @@ from comparisons.missing_effect.catalogue.characteristic_effects import CHARACTE
 from comparisons.missing_effect.catalogue.lag_effects import INPUT_EFFECTS, LAG_EFFECTS
 from comparisons.missing_effect.catalogue.output_effects import FLOW_NOISE, OUTPUT_EFFECTS
 from comparisons.missing_effect.effect import Effect
+from surge_core.errors import InputError
 
-__all__ = ["CATALOGUE", "DRIFT_FAMILY", "FLOW_NOISE", "find_effect"]
+__all__ = ["CATALOGUE", "FLOW_NOISE", "find_effect"]
 
 CATALOGUE: tuple[Effect, ...] = (
     *INPUT_EFFECTS,
@@ -30,8 +31,6 @@ def find_effect(name: str) -> Effect:
     InputError
         For an unknown name.
     """
-    from surge_core.errors import InputError
-
     known = (*CATALOGUE, FLOW_NOISE)
     for effect in known:
         if effect.name == name:
@@ -39,7 +38,3 @@ def find_effect(name: str) -> Effect:
     raise InputError(
         "effect", expected="one of " + ", ".join(e.name for e in known), found=repr(name)
     )
-
-
-# Without a channel of its own the data cannot always tell which of these moved.
-DRIFT_FAMILY = ("sensitivity_drift", "facility_heating", "bias_drift", "speed_droop")

@@ -104,7 +104,7 @@ def _reversed_grid(data: LagData) -> FloatArray:
 
 def _shaped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     phi_range = (float(values[1]), float(values[2]))
-    columns = shape_columns(ports.phi, phi_range, int(values[0]), ports.degree + 1)
+    columns = shape_columns(ports.phi, phi_range, int(values[0]), ports.n_powers)
     names = [f"spline {i + 1}" for i in range(columns.shape[1])]
     return ports.with_driven(columns, names)
 

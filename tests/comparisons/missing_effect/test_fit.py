@@ -18,7 +18,7 @@ from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
-from comparisons.missing_effect.uncertainty import fitted_parameters, on_all_rows
+from comparisons.missing_effect.uncertainty import fitted_parameters
 from comparisons.rig.coefficient_effects import EFFECTS
 from comparisons.rig.coefficient_tests import CoefficientTest
 
@@ -31,7 +31,7 @@ def under(d: Diagnosis, name: str) -> tuple[Fit, Bench]:
     """The fit to all rows under one name of the alias set."""
     found = next(c for c in d.rounds[0].candidates if c.name == name)
     bench = d.rounds[0].bench
-    return on_all_rows(found.fit, bench), bench
+    return bench.on_all_rows(found.fit), bench
 
 
 def off_by(number: FittedParameter, truth: float) -> float:

@@ -19,7 +19,6 @@ from comparisons.missing_effect.results import SIZE, Diagnosis
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
     fitted_parameters,
-    on_all_rows,
     size_in_errors,
 )
 
@@ -39,14 +38,14 @@ def with_effect(bench: Bench, name: str, *values: float) -> Bench:
 
 
 def size_of(bench: Bench, fit: Fit | None = None) -> float:
-    whole = on_all_rows(bench.fit, bench) if fit is None else fit
+    whole = bench.on_all_rows(bench.fit) if fit is None else fit
     return size_in_errors(whole.structure.effects[-1], whole, bench)
 
 
 @pytest.mark.parametrize("planted", ["flow_inertia", "bias_drift", None])
 def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) -> None:
     bench = with_effect(bench_of(planted), planted or "bias_drift")
-    whole = on_all_rows(bench.fit, bench)
+    whole = bench.on_all_rows(bench.fit)
     (number,) = fitted_parameters(whole, bench)[planted or "bias_drift"]
     assert size_of(bench, whole) == pytest.approx(abs(number.value) / number.stderr, rel=1e-3)
     assert (size_of(bench, whole) > 10.0) is (planted is not None)
