@@ -28,7 +28,9 @@ def trial_taus(*around_s: float) -> FloatArray:
         Estimates; those that are not finite or longer than a second do not count.
     """
     # A τ of many seconds is a fit that ran away; it must not stretch the axis.
-    known = [tau for tau in around_s if 0.0 < tau <= RUN_AWAY_S] or [0.018]
+    known = [tau for tau in around_s if 0.0 < tau <= RUN_AWAY_S]
+    if not known:
+        return np.geomspace(1e-3 * RUN_AWAY_S, RUN_AWAY_S, N_TAUS)
     return np.geomspace(min(known) / REACH, max(known) * REACH, N_TAUS)
 
 

@@ -78,7 +78,8 @@ def diagnose_whole_runs(
     why = why or (SECOND_PATTERN if line else "")
     blind = effects if why else []
     effects = [] if blind else effects
-    base = plain_bench(data, terms, len(effects), block_rows(data))
+    log_tau = float(np.mean([np.log(one.fit().tau_s) for one in readings]))
+    base = plain_bench(data, terms, len(effects), block_rows(data), log_tau)
     if n_twins and effects:
         leader = _of_leader(base, effects)
         nulls = nulls_of(

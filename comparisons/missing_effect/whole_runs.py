@@ -60,8 +60,8 @@ SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
 SENSITIVITY = "sensitivity_drift"
 # Cycles are left out every so many at a time.
 FOLDS = 4
-# A drift draws τ far away: a search begins here too, in the middle of what compressors have.
-USUAL_TAU_S, FAR = 0.018, 0.7
+# A drift draws τ far away, as log τ: a search then begins at the τ by both branches, too.
+FAR = 0.7
 
 # Explaining four fifths of what the best explains is as good, whatever decides about it alone.
 WHOLE_RUNS = Policy(term=ALIAS, alias=Tie(0.0, 0.2), refused_stand=True)
@@ -161,22 +161,25 @@ class WholeRuns(Bench):
         What each effect reads of twins; without any, chance decides.
     named : frozenset of str
         What was found, and all that these records do not tell from it.
+    log_tau : float
+        Of the fit to both branches, in which each has a curve of its own.
     """
 
     policy: Policy = WHOLE_RUNS
     nulls: Nulls = NO_NULLS
     named: frozenset[str] = frozenset()
+    log_tau: float = 0.0
 
     def fitted(self, probe: Probe) -> Fit:
         """Fit the model with the effect of a probe, from several starts of τ."""
         log_tau, *others = self.fit.nonlinear
-        far = abs(log_tau - np.log(USUAL_TAU_S)) > FAR
+        far = abs(log_tau - self.log_tau) > FAR
         # The best of many shapes by its score is all that twins can be asked for.
         most = 1 if probe.effect.name in SHAPED else None
         starts = [
             np.concatenate([[first], others, own])
             for own in probe.starts[:most]
-            for first in ([log_tau, np.log(USUAL_TAU_S)] if far else [log_tau])
+            for first in ([log_tau, self.log_tau] if far else [log_tau])
         ]
         structure = self.fit.structure.with_effect(probe.effect)
         return fit_structure(structure, self.train, self.train_metric, starts)
@@ -260,18 +263,21 @@ class WholeRuns(Bench):
         return [c for c in others if c.rank >= least or c.name in alike]
 
 
-def plain_bench(data: LagData, terms: tuple[str, ...], n_names: int, block: int) -> WholeRuns:
-    """Fit the base model with all errors weighed alike.
+def plain_bench(
+    data: LagData, terms: tuple[str, ...], n_names: int, block: int, log_tau: float
+) -> WholeRuns:
+    """Fit the base model with all errors weighed alike, from a log τ on.
 
     Weighing them by their colour would fit what is fast, where the model of the lag is worst.
     """
     everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
     structure, metric = Structure(terms), Metric(float(np.std(data.measured)) / 30.0)
-    start = np.array([np.log(USUAL_TAU_S)])
+    start = np.array([log_tau])
     first = WholeRuns.start(everything, structure, metric, [start], block, n_names)
     # Neighbours of an average say the same: a row counts for less than one.
     metric = Metric(rms_left(first) * float(np.sqrt(_error_memory(first))))
-    return WholeRuns.start(everything, structure, metric, [first.fit.nonlinear], block, n_names)
+    bench = WholeRuns.start(everything, structure, metric, [first.fit.nonlinear], block, n_names)
+    return replace(bench, log_tau=log_tau)
 
 
 def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> dict[str, Fit]:
@@ -300,7 +306,7 @@ def rms_left(bench: Bench) -> float:
 def nulls_of(
     records: Sequence[CoefficientSeries],
     readings: Sequence[RecordReading],
-    bench: Bench,
+    bench: WholeRuns,
     effects: Sequence[Effect],
     without: FloatArray,
     *,
@@ -341,7 +347,9 @@ def nulls_of(
 
     def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
         data = whole_data(records, others)
-        own = plain_bench(data, bench.fit.structure.terms, bench.n_names, bench.block_rows)
+        own = plain_bench(
+            data, bench.fit.structure.terms, bench.n_names, bench.block_rows, bench.log_tau
+        )
         fits = fitted(own, tried)
         rms.append(rms_left(own))
         return {
