@@ -14,14 +14,12 @@ from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record_interval import (
     DELAY_STEP_S,
     Scatter,
-    delay_of_exit,
     errors_of,
+    from_plane_to_plane,
     jackknife,
     law_of_probes,
     scatter_of,
     variants,
-    with_stored_gas,
-    within_bounds,
 )
 from surge_core.fit_state import FitState
 from surge_core.segments import runs_of
@@ -174,14 +172,14 @@ def fit_whole_record(
         twin, rng = reading.twin_under(fit), np.random.default_rng(0)
         for _ in progress(range(n_twins)):
             twins.append(reading.again(twin, rng, fit.tau_s).fit(near_s=fit.tau_s))
-    late_s, on_time = delay_of_exit(reading, fit)
+    late_s, on_time, planes = from_plane_to_plane(reading, fit)
     return WholeRecordFit(
         reading,
         fit,
         jackknife(reading, fit),
         variants(reading, fit),
         errors_of(twins, fit, degree),
-        within_bounds((on_time, with_stored_gas(reading, fit)), fit, degree),
+        planes,
         n_cycles,
         True,
         law_of_probes(reading, fit),

@@ -122,6 +122,13 @@ def within_bounds(moved: Sequence[BranchFit], fit: BranchFit, degree: int) -> Sc
     return Scatter(math.sqrt(float(logs @ logs) / 3.0), 0.0, apart.T @ apart / 3.0, len(moved))
 
 
+def from_plane_to_plane(reading: RecordReading, fit: BranchFit) -> tuple[float, BranchFit, Scatter]:
+    """Return by how much plane 31 seems late, the fit without that, and what Eq 5 leaves open."""
+    late_s, on_time = delay_of_exit(reading, fit)
+    moved = on_time, with_stored_gas(reading, fit)
+    return late_s, on_time, within_bounds(moved, fit, reading.spec.degree)
+
+
 def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:
     """Return the spread of fits about their mean, times a factor.
 

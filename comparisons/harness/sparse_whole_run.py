@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,10 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.free_run import near
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import LARGEST_SHARE
+from classic_ml.whole_record_interval import from_plane_to_plane, law_of_probes
+from classic_ml.whole_record_run import window_of
 from classic_ml.whole_run import (
     Spread,
     WholeRunFit,
@@ -177,7 +181,8 @@ def fit_sparse_whole_runs(
     spread = Spread(0.0, np.zeros((1, 1)))
     if until_s is None and not is_blowdown(plain):
         spread = specification_spread(measured, hold=hold)
-    level = spread.level(scored_phi)
+    shared = _of_the_measurement(records) if until_s is None else Spread(0.0, np.zeros((1, 1)))
+    level = math.hypot(spread.level(scored_phi), shared.level(scored_phi))
     found = select_on_free_run(
         equations,
         library.names,
@@ -186,7 +191,7 @@ def fit_sparse_whole_runs(
         judged=equations_of(scored_until([_all_in_stall(row) for row in rows], until_s)),
         shows_shape=all(map(_shows_shape, records)),
         max_terms=max_terms,
-        common_tau_share=spread.log_tau,
+        common_tau_share=math.hypot(spread.log_tau, shared.log_tau),
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
     )
     withheld = _withheld(records, plain, found, whole=until_s is None)
@@ -211,6 +216,25 @@ def _withheld(
     if found.time_constant_stderr_s > LARGEST_SHARE * found.time_constant_s:
         return FitState.UNCERTAIN
     return None
+
+
+def _of_the_measurement(records: Sequence[CoefficientSeries]) -> Spread:
+    """Return what no fit sees in its rows: the time from plane to plane, and Eq 2 near zero flow.
+
+    It is of the measurement and not of a method, so that both estimators state it.
+    """
+    worst = Spread(0.0, np.zeros((1, 1)))
+    for record in records:
+        signals = rake_signals_of(record)
+        if signals is None or signals.hub_minus_tip() is None:
+            continue
+        with suppress(InputError):
+            reading = RecordReading.of(signals, window_of(record), by_flow=False)
+            fit = reading.fit()
+            planes = from_plane_to_plane(reading, fit)[2]
+            log_tau = math.hypot(planes.log_tau, law_of_probes(reading, fit))
+            worst = max(worst, Spread(log_tau, planes.curve), key=lambda each: each.log_tau)
+    return worst
 
 
 def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeries:
