@@ -158,7 +158,8 @@ def _place(name: str) -> tuple[dict[str, Any], str]:
         if not found and place and "rake" not in place and re.fullmatch("[A-Za-z]", part):
             found = {"rake": part}
         if "plane" in found or "immersion" in found:
-            pattern += f"{part}*"
+            # Forward and aft probes share their constants: TF and TA are one pattern.
+            pattern += f"{part[0]}?*" if "facing" in found else f"{part}*"
         place = {**found, **place}
     return place, pattern
 

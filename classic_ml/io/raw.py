@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from textwrap import shorten
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,10 @@ def _title(channel: AnyChannel) -> str:
     return f"channel {channel.name}{renamed}"
 
 
+def _listed(names: Sequence[str]) -> str:
+    return shorten(", ".join(names), 200, placeholder=" …")
+
+
 def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     """Refuse a table whose columns, units or sampling are not those that a test describes."""
     layout = test.file
@@ -108,9 +113,16 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
         titles = {layout.time: f"column {layout.time}", **titles}
     missing = [column for column in titles if column not in stored.names]
     spare = [name for name in stored.names if name not in {*titles, layout.time}]
+    if missing and {"time_s", "phi", "psi_p"} <= set(stored.names):
+        raise InputError(
+            stored.source,
+            expected=f"a raw record with the channels of {test.source}",
+            found="a series of φ and ψ'",
+            remedy="give the raw record; a series is read by compare, diagnose and structure",
+        )
     if missing:
-        nor = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
-        found = f"no such column{nor}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
+        nor = f" (nor {_listed(missing[1:])})" if missing[1:] else ""
+        found = f"no such column{nor}; those that feed nothing: {_listed(spare) or 'none'}"
         aside = {n.split("/")[-1]: f"'{n}': {why}" for n, why in stored.left_aside.items()}
         remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
         if titles[missing[0]].startswith("column"):
@@ -125,7 +137,7 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
         raise InputError(
             f"{stored.source}: column {spare[0]}",
             expected=f'a table [channels."{spare[0]}"] in {test.source}',
-            found="none" + (f" (nor for {', '.join(spare[1:])[:200]})" if spare[1:] else ""),
+            found="none" + (f" (nor for {_listed(spare[1:])})" if spare[1:] else ""),
             remedy="describe the channel, leave the column out, or write "
             'other_columns = "ignore" in [file]',
         )

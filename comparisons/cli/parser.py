@@ -124,7 +124,8 @@ def _one_line(text: str) -> str:
     )
     if len(line) <= LONGEST:
         return line
-    return f"{line[: LONGEST // 2]}…{line[1 - LONGEST // 2 :]}"
+    first = line[: LONGEST // 2].rpartition(" ")[0]
+    return f"{first} … {line[-LONGEST // 2 :].partition(' ')[2]}"
 
 
 class _Parser(argparse.ArgumentParser):

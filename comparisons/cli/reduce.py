@@ -75,6 +75,12 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
     from classic_ml.records import ledger_lines
 
+    if given.phase == "none" and (given.cutoff_hz or given.filter_order):
+        raise InputError(
+            "--phase none",
+            expected="no --cutoff and no --filter-order beside it: nothing is filtered",
+            found="one of them",
+        )
     with options_named():
         settings = reduction_settings(given)
         reduction = _reduced(given.raw, given.test, settings, _part(given))

@@ -28,7 +28,10 @@ FARTHEST = 1e3
 def _needs(module: str, package: str) -> None:
     if find_spec(module) is None:
         raise InputError(
-            f"package {package}", expected="it to be installed", found=f"no module {module}"
+            f"package {package}",
+            expected="it to be installed",
+            found=f"no module {module}",
+            remedy='pip install "sindy-surge[peers]", or leave that --method out',
         )
 
 

@@ -351,6 +351,12 @@ OPTIONS = tuple(
         ("option-unknown", "--cuttoff", f"{REDUCE} --cuttoff 48"),
         ("option-test-missing", "--test", "reduce raw.csv -o reduced.csv"),
         ("option-cutoff-nyquist", "--cutoff|600|500", f"{REDUCE} --cutoff 600"),
+        ("option-cutoff-no-filter", "--phase none|--cutoff", f"{REDUCE} --phase none --cutoff 30"),
+        (
+            "raw-is-a-series",
+            "series.csv|raw record|compare",
+            REDUCE.replace("raw.csv", "series.csv"),
+        ),
         ("option-order", "--filter-order|3, 5", f"{REDUCE} --filter-order 4"),
         ("option-window-reversed", "--window", f"{REDUCE} --window 1.5 1.0"),
         ("option-part-reversed", "--to-s", f"{REDUCE} --from-s 1.5 --to-s 1.0"),
