@@ -1,6 +1,6 @@
 """The reduction as one would write it in an afternoon: pandas, numpy and scipy, whole arrays.
 
-Counts to pascal, near-stall match, 48 Hz forth and back, Eq 1 to 4 at each probe pair, plane means,
+Counts to pascal, near-stall match, 48 Hz both ways, Eq 1 to 4 at each probe pair, plane means,
 Eq 7 and Eq 5. It shares nothing with `classic_ml`, and does without what that does besides: no
 search for faults or for the window, no unfiltered series, no ψ, no stall state, no history.
 """

@@ -18,8 +18,8 @@ def low_pass(
 ) -> FloatArray:
     """Filter one signal with a Butterworth low-pass; the paper's is of order 3 or 5 at 48 Hz.
 
-    Phase ``"zero"`` runs forth and back: no delay, and twice the attenuation in dB (−6 dB at the
-    cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady state of
+    Phase ``"zero"`` runs forward and backward: no delay, and twice the attenuation in dB (−6 dB at
+    the cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady state of
     the first sample. ``"none"`` does nothing.
     """
     if phase == "none":
@@ -92,7 +92,7 @@ def filter_channels(
             held[f"held_{name}"] = int(np.count_nonzero(smooth < least))
             smooth = np.maximum(smooth, least)
         added.append(Channel.adopt(name, smooth, channel.unit))
-    word = "forth and back, without delay"
+    word = "forward and backward, without delay"
     if phase == "causal":
         at_hz = 0.2 * cutoff_hz
         delay_ms = 1e3 * phase_delay_s(at_hz, rate, order=order, cutoff_hz=cutoff_hz)

@@ -55,9 +55,9 @@ class Departure:
                     "rakes, each with hub and tip"
                 )
             return (
-                "whether the curve is a parabola is undecidable here: no kink and no cubic saves "
-                f"more of the error than on true parabolas (gain {self.gain:.2f}, needed "
-                f"{self.needed:.2f}); a cubic of {low:.0f} to {high:.0f} φ³ beside it is possible"
+                "the record does not decide whether the curve is a parabola: a kink or a cubic "
+                f"lowers the error no more than on true parabolas (gain {self.gain:.2f}, needed "
+                f"{self.needed:.2f}). A term of {low:.0f} to {high:.0f} φ³ fits as well"
             )
         which = "a kink" if self.finding == "kink" else "a kink or a cubic, which are rivals here"
         return (

@@ -145,9 +145,9 @@ class FitState(StrEnum):
     )
     LAG_UNDETERMINED = (
         "lag_undetermined",
-        "the error of the time constant is as large as itself, or it runs to the length of the "
-        "longest segment; the record does not excite the lag: use longer segments or more "
-        "cycles; a system that is no lag behind a curve is one for `sindy-surge discover`",
+        "the standard error is as large as the time constant, or the time constant runs to the "
+        "length of the longest segment; the record does not excite the lag: use longer segments "
+        "or more cycles; a system that is no lag behind a curve is one for `sindy-surge discover`",
     )
     UNRELATED = (
         "unrelated",

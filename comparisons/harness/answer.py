@@ -161,9 +161,10 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
             reading = f"{round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
             far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
             # Nearly anything agrees with a reading that would not be stated by itself.
-            known = error_s <= LARGEST_SHARE * value_s
-            if known:
-                (apart if far else agree).append(f"{name} {reading}")
+            if far:
+                apart.append(f"{name} {reading}")
+            elif error_s <= LARGEST_SHARE * value_s:
+                agree.append(f"{name} {reading}")
             else:
                 vague.append(f"{name} ({reading})")
     words = []

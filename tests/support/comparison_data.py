@@ -22,7 +22,7 @@ from comparisons.results import (
 
 LOW_PASS = LedgerEntry(
     "filter",
-    "Butterworth of order 3 at 48 Hz on 20 channels, forth and back, without delay",
+    "Butterworth of order 3 at 48 Hz on 20 channels, forward and backward, without delay",
     {"phase": "zero", "order": 3, "cutoff_hz": 48.0},
 )
 DROPPING = LedgerEntry(
