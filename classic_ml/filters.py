@@ -19,8 +19,8 @@ def low_pass(
     """Filter one signal with a Butterworth low-pass; the paper's is of order 3 or 5 at 48 Hz.
 
     Phase ``"zero"`` runs forward and backward: no delay, and twice the attenuation in dB (−6 dB at
-    the cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady state of
-    the first sample. ``"none"`` does nothing.
+    the cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady
+    state of the first sample. ``"none"`` does nothing.
     """
     if phase == "none":
         return values
