@@ -137,7 +137,9 @@ class Answer(Displayed):
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Question and answer, in the order of reading."""
-        refused = "; ".join(text.rstrip(".") for text in self.refused) or "nothing"
+        # What is advised stands with each estimator, further down.
+        first = (text.partition(". ")[0].rstrip(".") for text in self.refused)
+        refused = "; ".join(first) or "nothing"
         believed = (self.why, *([self.others] if self.others else ()))
         return (
             ("τ", self.tau_words),
