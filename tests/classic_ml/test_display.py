@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import re
 
 import numpy as np
@@ -11,17 +10,6 @@ from lag_data import BETA, PERIOD_S, flow, lagged
 from report_page import Page
 
 from classic_ml import LagRegressor
-from surge_core.display import Field, Grid, Sheet
-
-EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
-SHEET = Sheet(
-    "Something",
-    (Field("state", "well: as it should be", "good"), Field("names", ("a", "b"))),
-    (
-        Grid("Numbers", ("name", "value"), (("first", "1.2 ± 0.3"), ("second", "10")), marked=1),
-        Grid("Ledger", ("step", "did"), (("read", "4001 rows"),), frozenset({0, 1}), folded=True),
-    ),
-)
 
 
 def fitted(seed: int = 0) -> LagRegressor:
@@ -34,40 +22,6 @@ def fitted(seed: int = 0) -> LagRegressor:
 @pytest.fixture(scope="module")
 def model() -> LagRegressor:
     return fitted()
-
-
-def test_text_and_html_tell_the_same() -> None:
-    words = Page(SHEET.html()).texts
-    told = [SHEET.title, *(line for f in SHEET.fields for line in (f.label, *f.lines))]
-    told += [cell for row in SHEET.grids[0].rows for cell in row]
-    for line in told:
-        assert line in words
-        assert line in SHEET.text()
-    # A folded table is a line in a terminal and opens in a notebook.
-    assert "4001 rows" not in SHEET.text()
-    assert "4001 rows" in words
-    assert SHEET.html().count("<details>") == 1
-    assert SHEET.html().count('class="chosen"') == 1
-
-
-def test_every_string_is_escaped_and_every_head_has_a_scope() -> None:
-    sheet = Sheet(
-        EVIL,
-        (Field(EVIL, EVIL, "advice"), Field("b", (EVIL, EVIL))),
-        (
-            Grid(EVIL, (EVIL, EVIL), ((EVIL, EVIL),)),
-            Grid(EVIL, (EVIL,), ((EVIL,),), folded=True),
-        ),
-    )
-    text = sheet.html()
-    markup = Page(text)
-    assert {tag for tag, _ in markup.tags}.isdisjoint({"script", "img", "a", "link"})
-    assert text.count("<style>") == text.count("</style>") == 1
-    assert html.escape(EVIL) in text
-    assert markup.texts.count(EVIL) == 13
-    assert all(attrs.get("scope") in ("row", "col") for tag, attrs in markup.tags if tag == "th")
-    assert not any(name.startswith("on") for _, attrs in markup.tags for name in attrs)
-    assert "url(" not in text
 
 
 def test_a_fit_shows_its_lag_and_terms_to_their_errors(model: LagRegressor) -> None:

@@ -146,29 +146,6 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, 
     return code, captured.out, captured.err
 
 
-def test_a_record_is_shown_with_its_test(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made = make_test(seconds=3.0)
-    raw, toml = made.write(tmp_path)
-    code, out, err = run(capsys, raw, "--test", toml, "--json", tmp_path / "found.json")
-    assert (code, err) == (0, "")
-    assert "3001 rows, 21 columns" in out
-    assert "1000 rows a second" in out
-    assert "reduce would do this:" in out
-    assert re.search(r"window: .* cycles of 1\d\d ms that repeat each other", out)
-    found = json.loads((tmp_path / "found.json").read_text("utf-8"))
-    assert found["schema"] == "sindy-surge/inspect/1"
-    assert len(found["test"]["channels"]) == 20
-    for channel in found["test"]["channels"]:
-        assert (
-            2e4 < channel["minimum"] < 2e6
-            if channel["si_unit"] == "Pa"
-            else channel["minimum"] > 250.0
-        )
-    assert found["test"]["refusal"] == ""
-
-
 def test_what_does_not_fit_the_test_is_reported(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

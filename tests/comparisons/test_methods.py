@@ -37,20 +37,6 @@ def compared(series: Path, *methods: str) -> dict[str, Any]:
     return json.loads(out.read_text("utf-8"))["estimators"]
 
 
-class Curve:
-    """No lag: the mean of ψ' at φ."""
-
-    def fit(self, X: Any, y: Any) -> None:
-        self.powers = np.polynomial.polynomial.polyfit(X[:, 0], y, 2)
-        X[:], y[:] = 0.0, 0.0
-
-    def characteristic(self, phi: Any) -> Any:
-        return np.polynomial.polynomial.polyval(phi, self.powers)
-
-    def predict(self, X: Any) -> Any:
-        return self.characteristic(X[:, 0])
-
-
 class Peeks:
     """Predicts what it is given of ψ' beside φ."""
 
@@ -60,21 +46,6 @@ class Peeks:
     def predict(self, X: Any, segments: Any, start: Any) -> Any:
         assert np.isfinite(start).sum() == np.count_nonzero(np.diff(segments)) + 1
         return np.nan_to_num(start)
-
-
-def test_what_a_method_offers_is_shown_and_what_it_lacks_is_null(series: Path) -> None:
-    found = compared(series, f"{__name__}:Curve", f"{__name__}:Peeks", "classic_ml:LagRegressor")
-    curve, peeks, own = found["Curve"], found["Peeks"], found["LagRegressor"]
-    assert curve["time_constant_s"] is None
-    assert peeks["time_constant_s"] is None
-    assert peeks["characteristic"] is None
-    assert curve["fit"]["one_step"]["rms"] is None
-    assert curve["characteristic"]["psi_p"][0] is not None
-    # Scaled in place by its own fit, and scored as measured all the same.
-    assert 0.0 < curve["fit"]["held_out"]["rms"] < peeks["fit"]["held_out"]["rms"]
-    assert own["time_constant_s"]["value"] == pytest.approx(TAU_S, rel=0.05)
-    assert own["fit"]["free_run"]["rms"] < 0.5 * curve["fit"]["free_run"]["rms"]
-    assert [term["name"] for term in own["terms"]] == ["1", "phi", "phi^2"]
 
 
 def test_the_peers_follow_a_lag_that_is_there(series: Path) -> None:

@@ -6,11 +6,9 @@ What was hidden is known here alone. `benchmarks/hidden_on_the_rig.py` does it o
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +19,6 @@ from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import fit_branches
-from comparisons.cli import main
 from comparisons.missing_effect import Diagnosis, diagnose, find_effect
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.loading import reading_of, whole_data
@@ -147,29 +144,6 @@ def test_the_null_holds_what_noise_alone_explains() -> None:
     assert late.beyond(0.5, late.number + late.matters)
     # A model leaves of the record what it leaves of its twins.
     assert 0.5 < rms_left(bench) / nulls.rms < 2.0
-
-
-def test_a_user_walks_from_simulate_to_a_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run(*arguments: object) -> None:
-        assert main([str(argument) for argument in arguments]) == 0
-
-    raw, series = tmp_path / "raw", tmp_path / "series.csv"
-    run("simulate", "--case", "90", "--seed", 0, "--hide", "transport_delay", "-o", raw)
-    run("reduce", raw / "raw.csv", "--test", raw / "test.toml", "-o", series)
-    capsys.readouterr()
-    run("diagnose", series, "--limits", "--json", tmp_path / "found.json")
-    assert capsys.readouterr().out.strip()
-    found: dict[str, Any] = json.loads((tmp_path / "found.json").read_text("utf-8"))
-    assert found["schema"] == "sindy-surge/diagnose/1"
-    assert "transport_delay" in found["missing"][0]["alias_set"]
-    assert not found["missing"][0]["provisional"]
-    gap = found["gap"]
-    assert gap["floor_rms"] < gap["after_rms"] < gap["before_rms"]
-    assert {tuple(row) for row in found["cannot_be_told"]} <= {("effect", "why", "what_would_tell")}
-    sizes = {row["effect"]: row["size"] for row in found["limits"]["effects"]}
-    assert all(sizes[row["effect"]] == row["size"] > 0.0 for row in found["not_there"])
 
 
 @needs_independent

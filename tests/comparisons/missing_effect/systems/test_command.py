@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from driven_mass import CUBIC, MODEL, NOISE_M, files
 
 from comparisons.cli import main
-from comparisons.missing_effect.script import run_script
-from comparisons.missing_effect.systems.files import load_model, read_experiment
 
 
 def run(*arguments: object) -> int:
@@ -55,27 +52,6 @@ def test_the_command_names_what_a_model_lacks(
     assert 0.99 < gap["shrink"] <= 1.0
     assert {row["record"] for row in document["where"]["time"]} == {"check"}
     assert "diagnoses" not in document
-
-
-def test_scripts_write_all_diagnoses_below_the_first(
-    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    model_file, train, check = made
-    model = load_model(model_file)
-    fit, other = (read_experiment(path, model).rows(0, 250) for path in (train, check))
-    numbers = tmp_path / "n.json"
-    cases: dict[str, Any] = {"first": (model, [fit], [other]), "second": (model, other, fit)}
-    assert run_script(cases, ["--json", str(numbers), "--max-effects", "1"]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    document = json.loads(numbers.read_text("utf-8"))
-    assert set(document["diagnoses"]) == {"first", "second"}
-    assert set(document["test_rmse"]) == {"check", "train"}
-    first = document["diagnoses"]["first"]
-    assert document["missing"] == first["missing"]
-    assert set(first["test_rmse"]) == {"check"}
-    for name in cases:
-        assert f"{name}\n\nVERDICT" in said.out
 
 
 OWN = ("--model", "model.py", "--fit", "train.csv")
