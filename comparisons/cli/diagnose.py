@@ -76,8 +76,10 @@ def _compressor(given: argparse.Namespace) -> list[str]:
     from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
     from comparisons.missing_effect.whole_runs import N_TWINS
 
-    steps = 3 + (given.base == "sindy") + given.limits + given.separate
-    with shown_steps(steps) as begin:
+    # How long each lasts as a rule, in seconds, on a record of four seconds.
+    searched = [3.0] * (given.base == "sindy")
+    beyond = [100.0] * (given.limits + given.separate)
+    with shown_steps([1.0, *searched, 15.0, *beyond, 1.0]) as begin:
         begin("reading")
         # Each once: the last record is held out whole, and its double would be fitted.
         records = read_records(given.series)
