@@ -74,10 +74,15 @@ class WholeRecordFit:
         return self.fit.tau_s
 
     @property
+    def own_share(self) -> float:
+        """Standard deviation of log τ by what another record does not share."""
+        parts = [self.cycles.log_tau, self.specification.log_tau]
+        return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
+
+    @property
     def share(self) -> float:
         """Standard deviation of log τ but for `planes`, which another method shares."""
-        parts = [self.cycles.log_tau, self.specification.log_tau, self.probe_law]
-        return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
+        return math.hypot(self.own_share, self.probe_law)
 
     @property
     def contradictions(self) -> int:

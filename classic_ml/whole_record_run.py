@@ -93,6 +93,12 @@ class WholeRecordRun(WholeRunFit):
         )
 
     @property
+    def measurement_share_(self) -> float:
+        """Standard deviation of log τ by the time from plane to plane and the law of the probes."""
+        parts = [math.hypot(fit.planes.log_tau, fit.probe_law) for fit in self.fits_]
+        return max(part if math.isfinite(part) else 0.0 for part in parts)
+
+    @property
     def trusted_phi(self) -> FloatArray:
         """φ of the scored rows in stall, up to the flow of recovery."""
         found = []
@@ -255,7 +261,9 @@ def _combined(
     fits: tuple[WholeRecordFit, ...],
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
-    log_tau, share = _mean_of([(math.log(fit.tau_s), fit.share) for fit in fits])
+    log_tau, share = _mean_of([(math.log(fit.tau_s), fit.own_share) for fit in fits])
+    # One law of the probes holds for all records: what is not known of it does not average out.
+    share = math.hypot(share, max(abs(fit.probe_law) for fit in fits))
     curve = _mean_curve([fit.coefficients for fit in fits], [fit.covariance for fit in fits])
     answer = _Answer(log_tau, share, *curve)
     state = next((f.state for f in fits if f.state is not FitState.CONVERGED), FitState.CONVERGED)

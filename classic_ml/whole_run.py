@@ -108,6 +108,11 @@ class WholeRunFit(Displayed):
         return powers @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
 
     @property
+    def measurement_share_(self) -> float:
+        """Standard deviation of log τ that is of the measurement: other readings share it."""
+        return 0.0
+
+    @property
     def trusted_phi(self) -> FloatArray:
         """φ of the rows at which the curve is known."""
         return np.concatenate([row.scored_phi for row in self.rows_])

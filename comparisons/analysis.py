@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from classic_ml.records import counted
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
@@ -108,7 +110,7 @@ def analyse(
     from classic_ml.io import read_raw, read_test_description
     from classic_ml.reduction import reduce_record
     from classic_ml.whole_record_fit import N_TWINS
-    from comparisons.harness.answer import answer_of
+    from comparisons.harness.answer import TauReading, answer_of
     from comparisons.harness.cautions import unknown_work
     from comparisons.harness.compare import compare_records
     from comparisons.harness.structure_fit import find_structure
@@ -146,11 +148,13 @@ def analyse(
     readings = []
     if structure is not None and not structure.refused:
         fit = structure.fit
-        readings.append(("structure", fit.time_constant_s_, fit.time_constant_stderr_s_))
+        shared = getattr(fit, "measurement_share_", 0.0)
+        tau = fit.time_constant_s_, fit.time_constant_stderr_s_
+        readings.append(TauReading("structure", *tau, shared))
     if diagnosis is not None:
-        readings.append(("diagnose", diagnosis.tau_after_s, diagnosis.tau_stderr_s))
+        readings.append(TauReading("diagnose", diagnosis.tau_after_s, diagnosis.tau_stderr_s))
     if work is not None:
-        readings.append(("work", work.time_constant_s, work.time_constant_stderr_s))
+        readings.append(TauReading("work", work.time_constant_s, work.time_constant_stderr_s))
         if why := why_withheld(work):
             refusals["work"] = f"ψ_QS and its τ are not stated: {why}"
     missing = missing_words(diagnosis) if diagnosis else f"not known: {refusals['diagnose']}"
@@ -163,6 +167,7 @@ def analyse(
         readings=readings,
         verdict=diagnosis.verdict if diagnosis else "",
         missing=missing,
+        work=_work_words(work),
         # Why ψ is not known the comparison says, from the ledger.
         refused=[
             f"{step}: {why}"
@@ -171,6 +176,16 @@ def analyse(
         ],
     )
     return Analysis(answer, inspection, reduction, comparison, structure, diagnosis, work, refusals)
+
+
+def _work_words(work: WorkCharacteristic | None) -> str:
+    """Return ψ_QS at the ends of its φ; nothing where it is not stated."""
+    if work is None or not np.all(np.isfinite((work.time_constant_s, *work.valid_phi))):
+        return ""
+    # Without errors: with searched breakpoints those that are stated are two to three times small.
+    values = work.characteristic(np.array(work.valid_phi))[0]
+    at = [f"{v:.2f} at φ = {phi:.3f}" for phi, v in zip(work.valid_phi, values, strict=True)]
+    return f"ψ_QS from {' to '.join(at)}; in full in the report"
 
 
 def missing_words(d: Diagnosis) -> str:
@@ -184,14 +199,22 @@ def missing_words(d: Diagnosis) -> str:
     from comparisons.missing_effect.quantities import plain_name
     from comparisons.missing_effect.words import verdict_sentence
 
+    few_decided = not d.missing and len(d.untold) > len(d.absent)
     words = [
-        verdict_sentence(d),
+        # "Nothing is missing" is not said where the record decides about few effects.
+        f"The record decides about {len(d.absent)} of {len(d.absent) + len(d.untold)} effects."
+        if few_decided
+        else verdict_sentence(d),
         *(f"{text[0].upper()}{text[1:].rstrip('.')}." for text in d.remarks),
     ]
     if d.absent and not d.missing:
         seen = " or ".join(plain_name(each.effect) for each in d.absent[:FEW])
         any_of = counted(len(d.absent), "effect")
-        words.append(f"Any of {any_of} would have been seen, such as {seen}.")
+        words.append(
+            f"There is no {seen}."
+            if few_decided
+            else f"Any of {any_of} would have been seen, such as {seen}."
+        )
     if d.untold:
         # What any of them could do with as well stands in the evidence.
         few = ", ".join(

@@ -97,8 +97,10 @@ class FirstOrderLag:
     def drive(self, quasi_steady: FloatArray, derivative: int = 0) -> FloatArray:
         """Return ``Σ_i taps[i] f[k-i]`` for k = 1 … n-1, f of shape (n,) or (n, p), not late.
 
-        With ``derivative`` 1, its derivative with respect to log τ for the f that is given.
+        With ``derivative`` 1, its derivative with respect to log τ for the f that is given. Only of
+        a lag without dead time, whose input two samples before has no part in it.
         """
+        assert self.dead_time_s == 0.0
         taps = self.taps[derivative]
         before = taps[1] * quasi_steady[:-1]
         both = before if self.hold == "zero" else before + taps[0] * quasi_steady[1:]

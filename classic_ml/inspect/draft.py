@@ -159,7 +159,7 @@ def _place(name: str) -> tuple[dict[str, Any], str]:
             found = {"rake": part}
         if "plane" in found or "immersion" in found:
             # Forward and aft probes share their constants: TF and TA are one pattern.
-            pattern += f"{part[0]}?*" if "facing" in found else f"{part}*"
+            pattern += f"{part[0]}[FfAa]*" if "facing" in found else f"{part}*"
         place = {**found, **place}
     return place, pattern
 

@@ -16,7 +16,7 @@ from surge_core.errors import InputError
 # Rows that a reader takes at once: 40 MB of 20 channels.
 BLOCK_ROWS = 1 << 18
 # What states the unit of a column, in small letters, in the order in which they are believed.
-UNIT_NAMES = ("units", "unit", "unit_string", "ni_unitdescription", "engineering_units")
+UNIT_NAMES = ("unit_string", "units", "unit", "ni_unitdescription", "engineering_units")
 # How many groups a sentence names.
 NAMED = 6
 
@@ -95,13 +95,16 @@ def stated_unit(attributes: Mapping[Any, Any]) -> str:
 
     Capitals are no matter; a text may be of bytes, or stand alone in an array.
     """
-    text = {n.decode() if isinstance(n, bytes) else str(n): v for n, v in attributes.items()}
-    known = {name.lower(): value for name, value in text.items()}
+    known = {_text(name).lower(): value for name, value in attributes.items()}
     for name in UNIT_NAMES:
-        if name in known:
-            value = np.ravel(np.asarray(known[name], dtype=object))[0]
-            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+        values = np.ravel(np.asarray(known.get(name, ()), dtype=object))
+        if values.size:
+            return _text(values[0])
     return ""
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 class _Along:

@@ -124,8 +124,8 @@ def _one_line(text: str) -> str:
     )
     if len(line) <= LONGEST:
         return line
-    first = line[: LONGEST // 2].rpartition(" ")[0]
-    return f"{first} … {line[-LONGEST // 2 :].partition(' ')[2]}"
+    first, last = line[: LONGEST // 2], line[-LONGEST // 2 :]
+    return f"{first.rpartition(' ')[0] or first} … {last.partition(' ')[2] or last}"
 
 
 class _Parser(argparse.ArgumentParser):

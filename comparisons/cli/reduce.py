@@ -24,6 +24,8 @@ SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 REPORT_ROWS = 100_000
 
 
+# What only a filter has.
+FILTER = ("cutoff_hz", "filter_order")
 # The options of a reduction, which `live` has too; each is stored under the name of the field of
 # the settings behind it.
 REDUCTION = (
@@ -75,12 +77,6 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
     from classic_ml.records import ledger_lines
 
-    if given.phase == "none" and (given.cutoff_hz or given.filter_order):
-        raise InputError(
-            "--phase none",
-            expected="no --cutoff and no --filter-order beside it: nothing is filtered",
-            found="one of them",
-        )
     with options_named():
         settings = reduction_settings(given)
         reduction = _reduced(given.raw, given.test, settings, _part(given))
@@ -157,6 +153,14 @@ def reduction_settings(given: argparse.Namespace) -> ReductionSettings:
     from classic_ml.reduction_settings import ReductionSettings
 
     fields = {each.name: getattr(given, each.name) for each in REDUCTION}
+    for each in REDUCTION:
+        stated = fields[each.name]
+        if given.phase == "none" and each.name in FILTER and stated is not None:
+            raise InputError(
+                each.flags[0],
+                expected="none beside --phase none, which filters nothing",
+                found=f"{stated:g}",
+            )
     if given.window_s is not None:
         fields["window_s"] = tuple(given.window_s)
     return ReductionSettings(**{name: value for name, value in fields.items() if value is not None})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,17 @@ from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import round_to_error, significant
 
 NOT_LOOKED_FOR = "not looked for here; `sindy-surge diagnose` or `sindy-surge run` does"
+
+
+class TauReading(NamedTuple):
+    """τ as another step reads it, its standard error, and what share of it `classic_ml` has too."""
+
+    name: str
+    value_s: float
+    stderr_s: float
+    shared_share: float = 0.0
+
+
 # Two readings of one τ differ by no more than so many of their combined standard errors.
 APART = 2.0
 # Checks whose failure withholds the recommendation of a whole-run fit.
@@ -30,9 +42,10 @@ def answer_of(
     comparison: Comparison,
     *,
     test: str = "",
-    readings: Sequence[tuple[str, float, float]] = (),
+    readings: Sequence[TauReading] = (),
     verdict: str = "",
     missing: str = NOT_LOOKED_FOR,
+    work: str = "",
     refused: Sequence[str] = (),
 ) -> Answer:
     """Say which τ and curve of a comparison to read, and why.
@@ -43,10 +56,12 @@ def answer_of(
         Estimators side by side.
     test : str
         Name of the test; the names of the series files without it.
-    readings : sequence of (str, float, float)
-        What other steps read: name, τ and its standard error, in seconds.
+    readings : sequence of TauReading
+        What other steps read.
     verdict, missing : str
         Of a diagnosis, where there is one.
+    work : str
+        What is known of ψ_QS, where a step found it.
     refused : sequence of str
         What other steps refused.
     """
@@ -54,6 +69,7 @@ def answer_of(
     first = comparison.result(chosen or comparison.table[0].estimator)
     model = first.model
     tau = (model.time_constant_s, model.time_constant_stderr_s) if chosen else (math.nan, math.nan)
+    shared = first.whole_run.measurement_share_ if first.whole_run is not None else 0.0
     return Answer(
         test=_test_line(comparison, test),
         time_constant_s=tau[0],
@@ -62,11 +78,12 @@ def answer_of(
         estimator=chosen or "",
         label=first.label,
         why=_believed(comparison, first) if chosen else _not_believed(comparison),
-        others=_others(*tau, readings) if chosen else "",
+        others=_others(*tau, shared, readings) if chosen else "",
         curve=_curve(comparison, first) if chosen else None,
         verdict=verdict,
         missing=missing,
         refused=(*_refused(comparison), *refused),
+        work=work,
     )
 
 
@@ -151,15 +168,22 @@ def _not_believed(comparison: Comparison) -> str:
     return f"Believe no τ: {why}."
 
 
-def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, float]]) -> str:
-    """Say which other readings of τ agree with the one to quote, and which do not."""
+def _others(
+    tau_s: float, stderr_s: float, shared_share: float, readings: Sequence[TauReading]
+) -> str:
+    """Say which other readings of τ agree with the one to quote, and which do not.
+
+    An error that both have moves both alike, and has no part in their difference.
+    """
     agree: list[str] = []
     apart: list[str] = []
     vague: list[str] = []
-    for name, value_s, error_s in readings:
+    for name, value_s, error_s, common in readings:
         if math.isfinite(value_s):
             reading = f"{round_to_error(1e3 * value_s, 1e3 * error_s)} ms"
-            far = abs(value_s - tau_s) > APART * math.hypot(stderr_s, error_s)
+            both = 2.0 * min(common, shared_share) ** 2 * value_s * tau_s
+            apart_s = math.sqrt(max(stderr_s**2 + error_s**2 - both, 0.0))
+            far = abs(value_s - tau_s) > APART * apart_s
             # Nearly anything agrees with a reading that would not be stated by itself.
             if far:
                 apart.append(f"{name} {reading}")
@@ -183,7 +207,8 @@ def _others(tau_s: float, stderr_s: float, readings: Sequence[tuple[str, float, 
 
 def _refused(comparison: Comparison) -> list[str]:
     said = [
-        f"{result.label} ({result.name}): {result.advice}"
+        # What is advised stands with the estimator, further down.
+        f"{result.label} ({result.name}): {result.advice.partition('. ')[0]}"
         for result in comparison.results
         if result.state in WITHHOLDING
     ]

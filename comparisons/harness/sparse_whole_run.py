@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -70,11 +69,19 @@ class SparseWholeRunFit(WholeRunFit):
         Every structure tried, with its error on cycles left out.
     departure_ : Departure or None
         What speaks against the parabola.
+    shared_share : float
+        See `measurement_spread`.
     """
 
     candidate_terms_: tuple[str, ...]
     path_: tuple[PathRow, ...]
     departure_: Departure | None = None
+    shared_share: float = 0.0
+
+    @property
+    def measurement_share_(self) -> float:
+        """Standard deviation of log τ that `classic_ml` shares."""
+        return self.shared_share
 
     @property
     def cautions_(self) -> tuple[str, ...]:
@@ -178,10 +185,10 @@ def fit_sparse_whole_runs(
 
     rows = rows_of(measured)
     equations = equations_of(rows)
-    spread = Spread(0.0, np.zeros((1, 1)))
+    spread = shared = Spread(0.0, np.zeros((1, 1)))
     if until_s is None and not is_blowdown(plain):
         spread = specification_spread(measured, hold=hold)
-    shared = _of_the_measurement(records) if until_s is None else Spread(0.0, np.zeros((1, 1)))
+        shared = measurement_spread(records)
     level = math.hypot(spread.level(scored_phi), shared.level(scored_phi))
     found = select_on_free_run(
         equations,
@@ -191,11 +198,13 @@ def fit_sparse_whole_runs(
         judged=equations_of(scored_until([_all_in_stall(row) for row in rows], until_s)),
         shows_shape=all(map(_shows_shape, records)),
         max_terms=max_terms,
-        common_tau_share=math.hypot(spread.log_tau, shared.log_tau),
+        common_tau_share=math.hypot(spread.log_tau, min(shared.log_tau, LARGEST_SHARE)),
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
     )
-    withheld = _withheld(records, plain, found, whole=until_s is None)
-    return _result(found, period_s, hold, rows, library.names, withheld)
+    known = math.isfinite(shared.log_tau)
+    withheld = _withheld(records, plain, found, known=known, whole=until_s is None)
+    result = _result(found, period_s, hold, rows, library.names, withheld)
+    return replace(result, shared_share=shared.log_tau)
 
 
 def _withheld(
@@ -203,6 +212,7 @@ def _withheld(
     plain: Sequence[WholeRunRows],
     found: SparseRun,
     *,
+    known: bool,
     whole: bool,
 ) -> FitState | None:
     """Return why τ is not stated; None where it is."""
@@ -213,27 +223,35 @@ def _withheld(
     signals = [rake_signals_of(record) for record in records]
     if any(each is not None and each.hub_minus_tip() is None for each in signals):
         return FitState.ONE_IMMERSION
-    if found.time_constant_stderr_s > LARGEST_SHARE * found.time_constant_s:
+    if not known or found.time_constant_stderr_s > LARGEST_SHARE * found.time_constant_s:
         return FitState.UNCERTAIN
     return None
 
 
-def _of_the_measurement(records: Sequence[CoefficientSeries]) -> Spread:
+def measurement_spread(records: Sequence[CoefficientSeries]) -> Spread:
     """Return what no fit sees in its rows: the time from plane to plane, and Eq 2 near zero flow.
 
-    It is of the measurement and not of a method, so that both estimators state it.
+    Both are of the measurement; how far they move τ is taken from the fit to both branches. A
+    record that this fit cannot read has no bound on them: an infinite one.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        Those without the signals of their probe pairs, or with one immersion, have no part in it.
     """
     worst = Spread(0.0, np.zeros((1, 1)))
     for record in records:
         signals = rake_signals_of(record)
         if signals is None or signals.hub_minus_tip() is None:
             continue
-        with suppress(InputError):
+        try:
             reading = RecordReading.of(signals, window_of(record), by_flow=False)
             fit = reading.fit()
             planes = from_plane_to_plane(reading, fit)[2]
             log_tau = math.hypot(planes.log_tau, law_of_probes(reading, fit))
-            worst = max(worst, Spread(log_tau, planes.curve), key=lambda each: each.log_tau)
+        except InputError:
+            return Spread(math.inf, np.zeros((1, 1)))
+        worst = max(worst, Spread(log_tau, planes.curve), key=lambda each: each.log_tau)
     return worst
 
 

@@ -267,11 +267,14 @@ class System(ABC, Generic[A, F]):
         return () if step is None else step.aliases
 
     def rejected(self, winner: Candidate[A, F], rival: Candidate[A, F]) -> float:
-        """Return the chance of a winner's advantage if its rival were the truth."""
+        """Return the chance of a winner's advantage if its rival were the truth.
+
+        Asked only of systems whose policy has a ``rival_share``.
+        """
         raise NotImplementedError
 
     def held_out_size(self) -> float:
-        """Return the plain error on held-out rows."""
+        """Return the plain error on held-out rows; asked only with a ``further_share``."""
         raise NotImplementedError
 
     def weighed(self, candidate: Candidate[A, F]) -> Candidate[A, F]:

@@ -19,6 +19,7 @@ from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
 from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.quantities import size_words
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
@@ -78,8 +79,7 @@ def diagnose_whole_runs(
     why = why or (SECOND_PATTERN if line else "")
     blind = effects if why else []
     effects = [] if blind else effects
-    log_tau = float(np.mean([np.log(one.fit().tau_s) for one in readings]))
-    base = plain_bench(data, terms, len(effects), block_rows(data), log_tau)
+    base = plain_bench(data, readings, terms, len(effects), block_rows(data))
     if n_twins and effects:
         leader = _of_leader(base, effects)
         nulls = nulls_of(
@@ -161,10 +161,10 @@ def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
         null = nulls.by_effect.get(effect.name)
         if null is None or null.can_be_told or not np.isfinite(null.matters):
             continue
-        seen = f"{null.decided_from:.2g}{'' if null.unit == '1' else f' {null.unit}'}"
+        seen, matters = (size_words(v, null.unit) for v in (null.decided_from, null.matters))
         why = (
-            f"measured twins of this record show that it is seen from {seen} on, and "
-            f"{null.matters:.2g} would matter"
+            f"measured twins of this record show that it is seen from {seen} on, and {matters} "
+            "would matter"
         )
         found.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
     return tuple(found)

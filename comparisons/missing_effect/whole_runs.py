@@ -168,7 +168,7 @@ class WholeRuns(Bench):
     policy: Policy = WHOLE_RUNS
     nulls: Nulls = NO_NULLS
     named: frozenset[str] = frozenset()
-    log_tau: float = 0.0
+    log_tau: float = float("nan")
 
     def fitted(self, probe: Probe) -> Fit:
         """Fit the model with the effect of a probe, from several starts of τ."""
@@ -264,14 +264,19 @@ class WholeRuns(Bench):
 
 
 def plain_bench(
-    data: LagData, terms: tuple[str, ...], n_names: int, block: int, log_tau: float
+    data: LagData,
+    readings: Sequence[RecordReading],
+    terms: tuple[str, ...],
+    n_names: int,
+    block: int,
 ) -> WholeRuns:
-    """Fit the base model with all errors weighed alike, from a log τ on.
+    """Fit the base model with all errors weighed alike, from the τ of the readings on.
 
     Weighing them by their colour would fit what is fast, where the model of the lag is worst.
     """
     everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
     structure, metric = Structure(terms), Metric(float(np.std(data.measured)) / 30.0)
+    log_tau = float(np.mean([np.log(one.fit().tau_s) for one in readings]))
     start = np.array([log_tau])
     first = WholeRuns.start(everything, structure, metric, [start], block, n_names)
     # Neighbours of an average say the same: a row counts for less than one.
@@ -321,7 +326,7 @@ def nulls_of(
         In the order of their clocks.
     readings : sequence of RecordReading
         Of each.
-    bench : Bench
+    bench : WholeRuns
         The model without any of them, and the rows.
     effects : sequence of Effect
         Names that compete.
@@ -347,9 +352,7 @@ def nulls_of(
 
     def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
         data = whole_data(records, others)
-        own = plain_bench(
-            data, bench.fit.structure.terms, bench.n_names, bench.block_rows, bench.log_tau
-        )
+        own = plain_bench(data, others, bench.fit.structure.terms, bench.n_names, bench.block_rows)
         fits = fitted(own, tried)
         rms.append(rms_left(own))
         return {

@@ -151,10 +151,7 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     reasons: dict[str, list[str]] = {}
     for name, why in d.unavailable.items():
         reasons.setdefault(why, []).append(plain_name(name))
-    out += [
-        f"Could not be tried on these records: {_listed(names)}: {why}."
-        for why, names in reasons.items()
-    ]
+    out += [f"These records cannot show {_listed(names)}: {why}." for why, names in reasons.items()]
     return tuple(out)
 
 

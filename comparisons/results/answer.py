@@ -100,6 +100,8 @@ class Answer(Displayed):
         What is missing, or that nothing is and what would have been seen.
     refused : tuple of str
         What was refused and why.
+    work : str
+        What is known of ψ_QS; empty where it was not asked for, or is not stated.
     """
 
     test: str
@@ -114,6 +116,7 @@ class Answer(Displayed):
     verdict: str
     missing: str
     refused: tuple[str, ...]
+    work: str = ""
 
     @property
     def tau_words(self) -> str:
@@ -137,13 +140,12 @@ class Answer(Displayed):
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Question and answer, in the order of reading."""
-        # What is advised stands with each estimator, further down.
-        first = (text.partition(". ")[0].rstrip(".") for text in self.refused)
-        refused = "; ".join(first) or "nothing"
+        refused = "; ".join(text.rstrip(".") for text in self.refused) or "nothing"
         believed = (self.why, *([self.others] if self.others else ()))
         return (
             ("τ", self.tau_words),
             ("characteristic", self.curve_words),
+            *([("work coefficient", self.work)] if self.work else []),
             ("whom to believe", " ".join(believed)),
             ("what is missing", self.missing),
             ("what was refused", refused),

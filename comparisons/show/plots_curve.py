@@ -125,9 +125,12 @@ def curve_picture(
     step = -(-curve.measured.size // POINTS_DRAWN)
     phi, measured = curve.measured_phi[::step], curve.measured[::step]
     rising = curve.rising[::step]
-    # The lag holds the points off the curve, on one side as φ falls and on the other as it rises.
-    for label, rows, mark in (("φ falling", ~rising, "v"), ("φ rising", rising, "^")):
-        look: dict[str, Any] = {"ms": 2.5, "mew": 0, "color": style.FAINT}
+    # Where φ moves fast, the lag holds the points off the curve.
+    for label, rows, mark, grey in (
+        ("φ falling", ~rising, "v", style.QUIET),
+        ("φ rising", rising, "^", style.FAINT),
+    ):
+        look: dict[str, Any] = {"ms": 3.0, "mew": 0, "color": grey}
         ax.plot(phi[rows], measured[rows], mark, **look, label=f"measured, {label}")
     colour = style.estimator_styles([estimator or "classic_ml"])[estimator or "classic_ml"].colour
     if np.any(np.isfinite(curve.stderr)):
@@ -154,8 +157,8 @@ def curve_picture(
         f"{name} over φ",
         figure,
         f"{name} over φ: {shown}.",
-        f"{name} with its 95 % band where φ was scored. The lag holds the measured points off "
-        f"the curve, on one side as φ falls and on the other as it rises. {more}".rstrip(),
+        f"{name} with its 95 % band where φ was scored. Where φ moves fast, the lag holds the "
+        f"measured points off the curve. {more}".rstrip(),
     )
 
 

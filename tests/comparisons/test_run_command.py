@@ -16,7 +16,7 @@ from comparison_data import made_comparison
 from raw_data import make_test
 
 from comparisons.cli import main
-from comparisons.harness.answer import answer_of
+from comparisons.harness.answer import TauReading, answer_of
 from comparisons.rig import simulate, write_run
 
 TAU_S = 0.018
@@ -79,7 +79,8 @@ def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
     comparison = made_comparison()
     name = comparison.table[0].estimator
     tau_s = comparison.result(name).model.time_constant_s
-    vague, sharp = ("work", 2.0 * tau_s, 0.9 * tau_s), ("structure", tau_s, 0.05 * tau_s)
+    vague = TauReading("work", 2.0 * tau_s, 0.9 * tau_s)
+    sharp = TauReading("structure", tau_s, 0.05 * tau_s)
     known = dataclasses.replace(comparison, quotable=(name,))
     said = answer_of(known, readings=(vague, sharp)).others
     assert "agrees with structure" in said
@@ -102,7 +103,7 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
 
 
 def test_a_reading_that_does_not_agree_is_named() -> None:
-    readings = [("structure", 0.0181, 0.0003), ("work", 0.003, 0.0002)]
+    readings = [TauReading("structure", 0.0181, 0.0003), TauReading("work", 0.003, 0.0002)]
     others = answer_of(made_comparison(), readings=readings).others
     agree, apart = others.split("It does not agree with ")
     assert "structure 18.10 ± 0.30 ms" in agree
