@@ -90,7 +90,7 @@ def size_words(value: float, unit: str) -> str:
         SI; ``"1"`` without one.
     """
     factor, shown = _read_in(value, unit)
-    return f"{significant(factor * value, 2)} {shown}".rstrip()
+    return f"{float(significant(factor * value, 2)):g} {shown}".rstrip()
 
 
 def _read_in(value: float, unit: str) -> tuple[float, str]:
