@@ -255,6 +255,10 @@ def test_a_wide_interval_is_refused_and_a_second_record_helps(
     assert one.fit_state_ is FitState.UNCERTAIN
     both = _combined([series, series], (wide, wide), unlikely)
     assert both.fit_state_ is FitState.CONVERGED
+    # One law of the probes holds for both.
+    by_law = replace(fit, probe_law=0.1)
+    both = _combined([series, series], (by_law, by_law), None)
+    assert both.time_constant_stderr_s_ > 0.1 * both.time_constant_s_
 
 
 def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRun) -> None:

@@ -16,7 +16,7 @@ from comparison_data import made_comparison
 from raw_data import make_test
 
 from comparisons.cli import main
-from comparisons.harness.answer import TauReading, answer_of
+from comparisons.harness.answer import TauReading, _others, answer_of
 from comparisons.rig import simulate, write_run
 
 TAU_S = 0.018
@@ -100,6 +100,13 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
     results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
     answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))
     assert "held, not fitted" in answer.why
+
+
+def test_an_error_that_both_have_is_none_of_their_difference() -> None:
+    """4 ms apart with 3 ms between them, of which 2.8 ms move both alike."""
+    reading = "structure", 0.022, 0.0022
+    assert "It agrees" in _others(0.018, 0.002, 0.1, [TauReading(*reading)])
+    assert "does not agree" in _others(0.018, 0.002, 0.1, [TauReading(*reading, 0.1)])
 
 
 def test_a_reading_that_does_not_agree_is_named() -> None:
