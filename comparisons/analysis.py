@@ -13,6 +13,7 @@ from classic_ml.records import counted
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
+from surge_core.rounding import round_to_error
 from surge_core.threads import one_thread
 
 if TYPE_CHECKING:
@@ -182,9 +183,8 @@ def _work_words(work: WorkCharacteristic | None) -> str:
     """Return ψ_QS at the ends of its φ; nothing where it is not stated."""
     if work is None or not np.all(np.isfinite((work.time_constant_s, *work.valid_phi))):
         return ""
-    # Without errors: with searched breakpoints those that are stated are two to three times small.
-    values = work.characteristic(np.array(work.valid_phi))[0]
-    at = [f"{v:.2f} at φ = {phi:.3f}" for phi, v in zip(work.valid_phi, values, strict=True)]
+    ends = zip(work.valid_phi, *work.characteristic(np.array(work.valid_phi)), strict=True)
+    at = [f"{round_to_error(value, error)} at φ = {phi:.3f}" for phi, value, error in ends]
     return f"ψ_QS from {' to '.join(at)}; in full in the report"
 
 

@@ -25,7 +25,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             record, test, breakpoints=breakpoints, time_constant_s=given.tau, progress=fitting
         )
     written = write_asked(given, json=lambda: work_document(fit, str(given.raw)))
-    return work_table(fit, searched=breakpoints is None), *written
+    return work_table(fit), *written
 
 
 def _pair(values: Iterable[float] | None) -> tuple[float, float] | None:

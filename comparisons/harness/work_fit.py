@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.records import counted
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 LEAST_PIECE = 0.25
 GRID_POINTS = 7
 FEWEST_ROWS = 60
+# φ at which the curves of different breakpoints are compared.
+CURVE_POINTS = 50
 
 
 def fit_work(
@@ -90,7 +93,31 @@ def fit_work(
     grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
     pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
     fits = [fitted(pair) for pair in progress(pairs)]
-    return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
+    best = min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
+    if math.isnan(best.time_constant_s):
+        return best
+    return _with_spread(best, [fit for fit in fits if math.isfinite(fit.time_constant_s)])
+
+
+def _with_spread(best: WorkCharacteristic, fits: list[WorkCharacteristic]) -> WorkCharacteristic:
+    """Return a fit whose errors hold what the choice of its breakpoints adds.
+
+    Each pair weighs by its likelihood, its cycles taken for as many independent residuals.
+    """
+    std = np.array([fit.residual_std for fit in fits])
+    weights = np.exp(-best.n_cycles * np.log(std / best.residual_std))
+    weights /= weights.sum()
+    phi = np.linspace(*best.valid_phi, CURVE_POINTS)
+    lines = np.asarray(PiecewiseLinear(best.breakpoints).fit_transform(phi[:, None]))
+    curves = np.column_stack([fit.characteristic(phi)[0] for fit in fits])
+    apart = np.linalg.lstsq(lines, curves, rcond=None)[0] - best.coef[:, None]
+    tau_s = np.array([fit.time_constant_s for fit in fits])
+    variance = best.time_constant_stderr_s**2 + weights @ (tau_s - best.time_constant_s) ** 2
+    return replace(
+        best,
+        time_constant_stderr_s=float(np.sqrt(variance)),
+        covariance=best.covariance + (weights * apart) @ apart.T,
+    )
 
 
 def why_withheld(fit: WorkCharacteristic) -> str:

@@ -56,7 +56,7 @@ def run_section(found: Analysis) -> ReportSection:
         terms = structure_parts(found.structure)
         evidence.append(Part.together("Evidence: terms of ψ'_QS", terms))
     if found.work is not None:
-        words = Words(work_table(found.work, searched=True), "code")
+        words = Words(work_table(found.work), "code")
         evidence.append(Part("Evidence: ψ_QS from the power", (words,)))
     return ReportSection(
         found.answer.test,

@@ -38,16 +38,8 @@ def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
     }
 
 
-def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
-    """Return the fit as text.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        The fit.
-    searched : bool
-        The breakpoints were searched: then the errors do not say all.
-    """
+def work_table(fit: WorkCharacteristic) -> str:
+    """Return the fit as text."""
     low, high = fit.valid_phi
     if not math.isfinite(fit.time_constant_s):
         return (
@@ -68,11 +60,6 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     lines.append(fit.entry.did)
     if is_vague(fit):
         lines.append("τ or the curve is known to no better than 12 %: `run` does not state it")
-    if searched:
-        lines.append(
-            "the breakpoints were searched: errors of the curve do not contain this choice and are "
-            "two to three times too small; name them with --breakpoints where they are known"
-        )
     return "\n".join(lines)
 
 
