@@ -41,30 +41,19 @@ _DEEPEST_CORRECTION = 0.6
 class Form:
     """How an effect is drawn and how large it may be made.
 
-    Parameters
-    ----------
-    size : str
-        Name of the parameter that its strength is set by.
-    sizes : callable
-        Plant to the size of a visible effect, and to the largest that still makes sense.
-    draw : callable
-        Plant and generator to its other parameters.
-    signed : bool
-        Whether the size may be negative as well.
-    curve, lag, output : callable, optional
-        What it makes of ψ'_QS, of τ as a factor, or of ψ' as sensors and reduction show it; an
-        effect that has none of them acts in the integration itself.
-    levels : callable
-        Parameters to the values of the acting φ at which it begins or ends.
+    One that has neither curve, lag nor output acts in the integration itself.
     """
 
-    size: str
+    size: str  # Name of the parameter that its strength is set by
+    # Plant to the size of a visible effect, and to the largest that still makes sense.
     sizes: Callable[[Plant], tuple[float, float]]
+    # Plant and generator to its other parameters.
     draw: Callable[[Plant, np.random.Generator], dict[str, float]] = lambda plant, rng: {}
-    signed: bool = False
-    curve: Change | None = None
-    lag: Callable[[Parameters, Points], FloatArray] | None = None
-    output: Change | None = None
+    signed: bool = False  # Whether the size may be negative as well
+    curve: Change | None = None  # What it makes of ψ'_QS
+    lag: Callable[[Parameters, Points], FloatArray] | None = None  # Factor on τ
+    output: Change | None = None  # What it makes of ψ' as sensors and reduction show it
+    # Parameters to the values of the acting φ at which it begins or ends.
     levels: Callable[[Parameters], tuple[float, ...]] = lambda p: ()
 
 

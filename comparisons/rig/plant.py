@@ -51,26 +51,8 @@ def run_plant(
 ) -> PlantRun:
     """Integrate the plant of a case from its near-stall equilibrium.
 
-    Parameters
-    ----------
-    case : RigCase
-        The plant.
-    n_rows : int
-        Number of output rows at `PLANT_RATE_HZ`.
-    substeps : int
-        Runge-Kutta steps in each row.
-    altered : Alteration
-        What is hidden in the plant; by default nothing.
-
-    Returns
-    -------
-    PlantRun
-        The signals.
-
-    Raises
-    ------
-    InputError
-        When an altered case has no equilibrium to start from, or does not stay finite.
+    The signals have `n_rows` at `PLANT_RATE_HZ`, each of so many Runge-Kutta steps. A case without
+    an equilibrium, or one that does not stay finite, is refused.
     """
     from comparisons.rig import plant_kernel
 
@@ -84,9 +66,8 @@ def run_plant(
             found=f"one that diverges after {np.argmax(bad) / PLANT_RATE_HZ:.3f} s",
             remedy="change its parameters by a few percent only",
         )
-    signals = {
-        name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(plant_kernel.OUTPUTS)
-    }
+    columns = np.ascontiguousarray(rows.T)
+    signals: dict[str, FloatArray] = dict(zip(plant_kernel.OUTPUTS, columns, strict=True))
     return signals | {"T31": _exit_temperature_k(case, signals)}
 
 
@@ -101,11 +82,8 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
     t2 = signals["T25"] + signals["psi"] * case.rotor_velocity_m_s**2 / (2.0 * CP_J_KG_K)
     blading = signals["P31"] + case.inertia_per_m * signals["dW25"]
     mean = signals["P25"] + case.internal_weight * (blading - signals["P25"])
-    stored = (
-        case.internal_volume_m3
-        / (GAMMA * GAS_CONSTANT_J_KG_K)
-        * np.gradient(mean, 1.0 / PLANT_RATE_HZ)
-    )
+    storage = case.internal_volume_m3 / (GAMMA * GAS_CONSTANT_J_KG_K)
+    stored = storage * np.gradient(mean, 1.0 / PLANT_RATE_HZ)
     flow = signals["W31"]
     left = (signals["W25"] - flow) * t2 - stored
     correction = left * flow**3 / (flow**4 + _MIXING_KG_S**4)
@@ -151,23 +129,10 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
     p_ex = case.exhaust_pressure_frac * p31
     throttle = flow / kernel.orifice_flow(1.0, p31, t31, p_ex, t31)[0]
     exhaust = flow / kernel.orifice_flow(1.0, p_ex, t31, P_REF_PA, t31)[0]
-    start = {
-        "W": flow,
-        "psi_p": psi_p,
-        "psi": psi,
-        "P31": p31,
-        "T31": t31,
-        "P_in": case.face_pressure_pa + loss * flow**2,
-        "T_in": t25,
-        "T_face": t25,
-        "P_ex": p_ex,
-        "T_ex": t31,
-        "blend": 0.0,
-        "cells": 0.0,
-        "T_coil": t25,
-        "throttle": 1.0,
-    }
-    state = np.array([start[name] for name in kernel.STATES])
+    start = {"W": flow, "psi_p": psi_p, "psi": psi, "P31": p31, "P_ex": p_ex, "throttle": 1.0}
+    start["P_in"] = case.face_pressure_pa + loss * flow**2
+    start |= dict.fromkeys(("T31", "T_ex"), t31) | dict.fromkeys(("T_in", "T_face", "T_coil"), t25)
+    state = np.array([start.get(name, 0.0) for name in kernel.STATES])
     return c._replace(throttle=throttle, exhaust=exhaust), state
 
 
