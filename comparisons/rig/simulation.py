@@ -99,11 +99,8 @@ def simulate(
         )
     settings = SensorSettings() if sensors is None else sensors
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
-        raise InputError(
-            "duration_s",
-            expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
-            found=f"{duration_s!r}",
-        )
+        possible = f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds"
+        raise InputError("duration_s", expected=possible, found=f"{duration_s!r}")
     altered, hidden = hide_effect(hide, hide_size)
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
