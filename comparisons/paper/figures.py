@@ -63,18 +63,7 @@ SHOWN_S = 1.2
 
 
 def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
-    """Draw the six pictures.
-
-    Parameters
-    ----------
-    runs : Instabilities
-        All runs.
-
-    Returns
-    -------
-    tuple of Picture
-        In the order of the paper, the validation last; each names the figure that it stands beside.
-    """
+    """Draw the six pictures, in the order of the paper, the validation last."""
     high, low = runs["985"], runs["90"]
     return (
         _spectra(low),
