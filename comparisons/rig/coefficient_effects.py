@@ -91,9 +91,9 @@ def _thermocouple_sizes(plant: Plant) -> tuple[float, float]:
     return 0.2, _DEEPEST_CORRECTION / max(swings)
 
 
-def _stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
+def _stall_state(phi: FloatArray, p: Parameters) -> NDArray[np.bool_]:
     """Return the state of a Schmitt trigger: set below `phi_lo`, until above `phi_hi`."""
-    decided = np.where(phi < phi_lo, 1, np.where(phi > phi_hi, 0, -1))
+    decided = np.where(phi < p["phi_lo"], 1, np.where(phi > p["phi_hi"], 0, -1))
     decided[0] = max(decided[0], 0)
     last = np.maximum.accumulate(np.where(decided >= 0, np.arange(phi.size), 0))
     return np.asarray(decided[last] == 1)
@@ -108,10 +108,6 @@ def _heating(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
 def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
     speed = at.plant.speeds[at.record].values(at.time_s)
     return np.asarray(speed / p["reference_frac"])
-
-
-def _hysteresis(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
-    return np.asarray(curve - p["step"] * _stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
 
 
 def _reverse(p: Parameters, at: Points) -> FloatArray:
@@ -138,15 +134,6 @@ def _memory(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
 def _amplitude_lag(p: Parameters, at: Points) -> FloatArray:
     amplitude = at.plant.amplitudes[at.record](at.time_s)
     return np.asarray(1.0 + p["slope"] * (amplitude / p["mean_amplitude"] - 1.0))
-
-
-def _asymmetric_lag(p: Parameters, at: Points) -> FloatArray:
-    return np.broadcast_to(1.0 + p["slope"] * np.sign(at.phi_rate), at.phi.shape)
-
-
-def _flow_lag(p: Parameters, at: Points) -> FloatArray:
-    below = at.branch_phi < p["phi_threshold"]
-    return np.broadcast_to(1.0 + p["slope"] * below, at.phi.shape)
 
 
 def _thermocouple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
@@ -187,7 +174,7 @@ _CATALOGUE: Mapping[str, Form] = {
         "step",
         lambda p: (0.05 * p.psi_std, 5.0 * p.psi_std),
         _draw_hysteresis,
-        curve=_hysteresis,
+        curve=lambda p, at, curve: curve - p["step"] * _stall_state(at.branch_phi, p),
         levels=lambda p: (p["phi_lo"], p["phi_hi"]),
     ),
     "reverse_flow_branch": Form(
@@ -214,14 +201,17 @@ _CATALOGUE: Mapping[str, Form] = {
         lag=_amplitude_lag,
     ),
     "asymmetric_lag": Form(
-        "slope", lambda p: (0.03, _LIMIT_OF_TAU), signed=True, lag=_asymmetric_lag
+        "slope",
+        lambda p: (0.03, _LIMIT_OF_TAU),
+        signed=True,
+        lag=lambda p, at: 1.0 + p["slope"] * np.sign(at.phi_rate),
     ),
     "flow_dependent_lag": Form(
         "slope",
         lambda p: (0.05, _LIMIT_OF_TAU),
         lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
         signed=True,
-        lag=_flow_lag,
+        lag=lambda p, at: 1.0 + p["slope"] * (at.branch_phi < p["phi_threshold"]),
         levels=lambda p: (p["phi_threshold"],),
     ),
     "flow_inertia": Form(

@@ -203,11 +203,7 @@ def _description(
             "25": {"area_m2": machine.inlet_area_m2},
             "31": {"area_m2": machine.exit_area_m2},
         },
-        "adc": {
-            "bits": fitted.bits,
-            "low_V": -fitted.half_scale_v,
-            "high_V": fitted.half_scale_v,
-        },
+        "adc": {"bits": fitted.bits, "low_V": -fitted.half_scale_v, "high_V": fitted.half_scale_v},
         "near_stall": dict(reading),
         "channels": channels.described,
     }

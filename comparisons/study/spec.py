@@ -321,19 +321,9 @@ def read_spec(path: Path) -> StudySpec:
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
-    """Check the content of a declaration.
+    """Return the study that a declaration is, as `tomllib` reads it, or refuse all that is wrong.
 
-    Parameters
-    ----------
-    given : mapping
-        As `tomllib` reads it.
-    where : str
-        What errors name.
-
-    Raises
-    ------
-    InputError
-        Naming all that is wrong.
+    Errors begin with `where`, the file that it comes from.
     """
     if not given:
         raise InputError(where, expected="a study", found="an empty file")
