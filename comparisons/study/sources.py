@@ -25,6 +25,7 @@ from surge_core.types import FloatArray
 if TYPE_CHECKING:
     from classic_ml.description import TestDescription
     from classic_ml.records import Record
+    from comparisons.rig.coefficient_tests import CoefficientTest
 
 FIT_DEFAULTS: dict[str, Scalar] = {"degree": 2, "hold": "first"}
 
@@ -88,7 +89,12 @@ def _coefficients(
         noise_frac=noise_percent / 100.0,
         **settings,
     )
-    series = tuple(
+    return Made(series_of(test), None, test.tau_s, partial(polyval, c=test.beta))
+
+
+def series_of(test: CoefficientTest) -> tuple[CoefficientSeries, ...]:
+    """Return the records of a test at the level of coefficients as series."""
+    return tuple(
         CoefficientSeries(
             r.time_s,
             r.phi,
@@ -101,7 +107,6 @@ def _coefficients(
         )
         for i, r in enumerate(test.records, start=1)
     )
-    return Made(series, None, test.tau_s, partial(polyval, c=test.beta))
 
 
 def _through_files(write: Callable[[Path], object]) -> tuple[Any, dict[str, Any]]:
