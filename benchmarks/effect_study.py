@@ -44,27 +44,13 @@ SAVE_EVERY_ROWS = 50
 
 @dataclass(frozen=True)
 class Case:
-    """One test.
+    """One test."""
 
-    Parameters
-    ----------
-    kind : str
-        "effect", "null", "outside" or "pair".
-    planted : tuple of str
-        The effects.
-    strength : float
-        In sigma; 0 where nothing is planted.
-    seed : int
-        Of the test.
-    noise : str
-        See `simulate_test`.
-    """
-
-    kind: str
-    planted: tuple[str, ...]
-    strength: float
+    kind: str  # "effect", "null", "outside" or "pair"
+    planted: tuple[str, ...]  # The effects
+    strength: float  # In sigma; 0 where nothing is planted
     seed: int
-    noise: Noise = "white"
+    noise: Noise = "white"  # See `simulate_test`
 
     def simulate(self) -> CoefficientTest:
         """Make its records."""
