@@ -92,9 +92,10 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
 
 
 def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
-    """Size flow, orifices and supply so that the case starts at rest, just above stall.
+    """Return the numbers of the compiled loop, and the state at rest just above stall.
 
-    Nothing that can be hidden moves this point: it is cold, at full speed and unstalled.
+    Flow, orifices and supply are sized by that state. Nothing that can be hidden moves it: it is
+    cold, at full speed and unstalled.
     """
     from comparisons.rig import plant_kernel as kernel
 
