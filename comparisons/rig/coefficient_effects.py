@@ -106,7 +106,7 @@ def _heating(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
 
 
 def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
-    speed = at.plant.speeds[at.record].values(at.time_s)
+    speed, _ = at.plant.speeds[at.record].at(at.time_s)
     return np.asarray(speed / p["reference_frac"])
 
 
@@ -137,9 +137,8 @@ def _amplitude_lag(p: Parameters, at: Points) -> FloatArray:
 
 
 def _thermocouple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    channel = at.plant.temperatures[at.record]
-    shown = channel.values(at.time_s)
-    return np.asarray(psi * shown / (shown + p["lag_s"] * channel.rates(at.time_s)))
+    shown, rate = at.plant.temperatures[at.record].at(at.time_s)
+    return np.asarray(psi * shown / (shown + p["lag_s"] * rate))
 
 
 def _ripple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:

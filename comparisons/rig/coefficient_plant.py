@@ -99,21 +99,15 @@ class ChannelSignal:
     slow: tuple[float, float, float]  # s, f_s in Hz, p_s in rad, on the facility clock
     cyclic: tuple[float, float]  # c, p_c in rad
 
-    def values(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel at times on the facility clock."""
-        angle, _ = self.flow.angle(time_s)
-        share, hz, phase = self.slow
-        swing, lag = self.cyclic
-        slow = share * np.sin(2.0 * pi * hz * time_s + phase)
-        return np.asarray(self.level * (1.0 + slow + swing * np.sin(angle + lag)))
-
-    def rates(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel's time derivative, per second."""
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the channel and its rate, per second, at times on the facility clock."""
         angle, speed = self.flow.angle(time_s)
         share, hz, phase = self.slow
         swing, lag = self.cyclic
-        slow = share * 2.0 * pi * hz * np.cos(2.0 * pi * hz * time_s + phase)
-        return np.asarray(self.level * (slow + swing * speed * np.cos(angle + lag)))
+        inner = 2.0 * pi * hz * time_s + phase
+        value = 1.0 + share * np.sin(inner) + swing * np.sin(angle + lag)
+        rate = share * 2.0 * pi * hz * np.cos(inner) + swing * speed * np.cos(angle + lag)
+        return np.asarray(self.level * value), np.asarray(self.level * rate)
 
 
 @dataclass(frozen=True)
@@ -159,7 +153,7 @@ class Plant:
     @cached_property
     def mean_speed(self) -> float:
         """Mean Nc over all records: the reference of the droop."""
-        return float(np.mean([s.values(s.flow.origin_s + self._clock_s) for s in self.speeds]))
+        return float(np.mean([s.at(s.flow.origin_s + self._clock_s)[0] for s in self.speeds]))
 
     @cached_property
     def amplitudes(self) -> tuple[CubicSpline, ...]:

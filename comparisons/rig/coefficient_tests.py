@@ -194,7 +194,7 @@ def simulate_test(
         measured_phi = phi
         if noise in _PHI_NOISE:
             measured_phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
-        channels = (plant.temperatures[i].values(time), plant.speeds[i].values(time))
+        channels = (signals[i].at(time)[0] for signals in (plant.temperatures, plant.speeds))
         in_stall = phi < plant.stall_phi
         records.append(
             CoefficientRecord(time, measured_phi, measured_psi, *channels, in_stall, segment)
