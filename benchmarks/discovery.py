@@ -42,43 +42,22 @@ THRESHOLDS = np.geomspace(1e-3, 3.0, 25)
 
 @dataclass(frozen=True)
 class System:
-    """A system whose equations are known.
-
-    Parameters
-    ----------
-    states : tuple of str
-        Names.
-    rate : callable
-        dx/dt at (t, x, u).
-    truth : dict
-        Coefficients of each equation by term.
-    low, high : tuple of float
-        Range of the starts.
-    step_s : float
-        Sample period.
-    library : callable
-        Makes the candidate terms.
-    force : callable, optional
-        The input u at a time.
-    hidden : str
-        A state that is not measured, with the equation of the first state known; may be empty.
-    n_runs, n_rows : int
-        Trajectories, and rows of each.
-    pooled : bool
-        Whether noise is a share of the standard deviation of all states together.
-    """
+    """A system whose equations are known."""
 
     states: tuple[str, ...]
-    rate: Callable[..., Any]
-    truth: dict[str, dict[str, float]]
-    low: tuple[float, ...]
+    rate: Callable[..., Any]  # dx/dt at (t, x, u)
+    truth: dict[str, dict[str, float]]  # Coefficients of each equation by term
+    low: tuple[float, ...]  # Range of the starts
     high: tuple[float, ...]
     step_s: float
+    # Makes the candidate terms.
     library: Callable[[], Any] = lambda: ps.PolynomialLibrary(degree=3)
-    force: Callable[[Any], Any] | None = None
+    force: Callable[[Any], Any] | None = None  # The input u at a time
+    # A state that is not measured, with the equation of the first state known; may be empty.
     hidden: str = ""
     n_runs: int = N_TRAJECTORIES
     n_rows: int = N_ROWS
+    # Whether noise is a share of the standard deviation of all states together.
     pooled: bool = False
 
 

@@ -27,13 +27,12 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
 from effect_study_tables import Row, report
 from threadpoolctl import threadpool_limits
 
-from classic_ml.series import CoefficientSeries
 from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE, PAIRS
 from comparisons.rig.coefficient_tests import NOISES, CoefficientTest, Noise, simulate_test
+from comparisons.study.sources import series_of
 from surge_core.files import to_strict_json
 
 PARTS = ("effects", "nulls", "outside", "pairs")
@@ -45,27 +44,13 @@ SAVE_EVERY_ROWS = 50
 
 @dataclass(frozen=True)
 class Case:
-    """One test.
+    """One test."""
 
-    Parameters
-    ----------
-    kind : str
-        "effect", "null", "outside" or "pair".
-    planted : tuple of str
-        The effects.
-    strength : float
-        In sigma; 0 where nothing is planted.
-    seed : int
-        Of the test.
-    noise : str
-        See `simulate_test`.
-    """
-
-    kind: str
-    planted: tuple[str, ...]
-    strength: float
+    kind: str  # "effect", "null", "outside" or "pair"
+    planted: tuple[str, ...]  # The effects
+    strength: float  # In sigma; 0 where nothing is planted
     seed: int
-    noise: Noise = "white"
+    noise: Noise = "white"  # See `simulate_test`
 
     def simulate(self) -> CoefficientTest:
         """Make its records."""
@@ -86,19 +71,7 @@ def diagnosed(test: CoefficientTest) -> Row:
     """Ask the diagnosis what is missing; all that the study knows of its interface is here."""
     from comparisons.missing_effect import diagnose
 
-    records = [
-        CoefficientSeries(
-            one.time_s,
-            one.phi,
-            one.psi_p,
-            np.ones(one.phi.size, dtype=np.int64),
-            T25_K=one.T25_K,
-            Nc_frac=one.Nc_frac,
-            in_stall=one.in_stall,
-            source=f"record {number}",
-        )
-        for number, one in enumerate(test.records, start=1)
-    ]
+    records = series_of(test)
     begun = time.process_time()
     found = diagnose(records, degree=DEGREE)
     seconds = time.process_time() - begun

@@ -53,19 +53,9 @@ _BLOCKS = 12
 
 
 def sparse_discrepancy(records: tuple[CoefficientRecord, ...], degree: int) -> list[str]:
-    """Run the recipe on the first two records of a test.
+    """Run the recipe on the first two records of a test, whose base characteristic has a degree.
 
-    Parameters
-    ----------
-    records : tuple of CoefficientRecord
-        The test.
-    degree : int
-        Degree of the base characteristic.
-
-    Returns
-    -------
-    list of str
-        Terms found, the last to survive a rising threshold first; empty for none.
+    The terms found come with the last to survive a rising threshold first.
     """
     records = records[:_TRAIN_RECORDS]
     sizes = [int(_TRAIN_SHARE * r.phi.size) for r in records]

@@ -33,15 +33,7 @@ SETTLING = 1000
 
 @dataclass(frozen=True)
 class Problem:
-    """What the error of the records is.
-
-    Parameters
-    ----------
-    error : {"arx", "armax", "output-error"}
-        Where the white noise enters.
-    c : float
-        Coefficient of C(q) = 1 + c q⁻¹; 0 unless ``error`` is ``"armax"``.
-    """
+    """Where the white noise enters, and c of C(q) = 1 + c q⁻¹, 0 unless that is "armax"."""
 
     error: Error = "armax"
     c: float = 0.0
@@ -57,15 +49,7 @@ class Problem:
         return np.array([TAU_S, *BETA])
 
     def record(self, n_samples: int, seed: int) -> Record:
-        """Simulate one record.
-
-        Parameters
-        ----------
-        n_samples : int
-            Its length.
-        seed : int
-            Of flow and error.
-        """
+        """Simulate one record; the seed is that of flow and error."""
         rng = np.random.default_rng(seed)
         phi = flow(n_samples, rng)
         e = SIGMA * rng.standard_normal(n_samples + SETTLING)
@@ -76,15 +60,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Record:
-    """One simulated record with the errors that made it.
-
-    Parameters
-    ----------
-    problem : Problem
-        Truth.
-    phi, y, e : ndarray of shape (n,)
-        Flow coefficient, ψ', and the white error e.
-    """
+    """One simulated record: its truth, φ, ψ', and the white error e."""
 
     problem: Problem
     phi: FloatArray
@@ -94,17 +70,11 @@ class Record:
     def bound(self) -> tuple[FloatArray, FloatArray]:
         """Return the Cramer-Rao bound given φ, and the one-step estimate from the truth.
 
-        Returns
-        -------
-        stderr : ndarray of shape (4,)
-            Least standard error of an unbiased estimate of (τ, β0, β1, β2); C, and for output
-            error the start, are nuisance parameters that count.
-        one_step_error : ndarray of shape (4,)
-            F⁻¹ times the score at the truth: an error whose variance is the bound, and which that
-            of maximum likelihood approaches as records grow.
+        The first is the least standard error of an unbiased estimate of (τ, β0, β1, β2); C, and for
+        output error the start, are nuisance parameters that count. The second is F⁻¹ times the
+        score at the truth: an error whose variance is the bound, and which that of maximum
+        likelihood approaches as records grow.
 
-        Notes
-        -----
         F = E[J'J]/σ² with J = ∂e/∂θ. What the input adds to J is fixed; what the error adds is
         taken by its expectation: E(∂e/∂a)² = σ²/(1 - a²), E(∂e/∂c)² = σ²/(1 - c²) and their
         product σ²/(1 + a c) (Box and Jenkins 1976, information matrix of an ARMA(1, 1)).

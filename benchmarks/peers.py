@@ -51,16 +51,11 @@ def rms(values: Any) -> float:
 
 
 def efficiency(error: FloatArray, control: FloatArray | None = None) -> tuple[float, float]:
-    """Return 1 / mean(error²) and its standard error.
+    """Return 1 / mean(error²) and its standard error, of errors over their bounds.
 
-    Parameters
-    ----------
-    error : ndarray of shape (n,)
-        Error / bound of each record.
-    control : ndarray of shape (n,), optional
-        The same of an estimate that attains the bound on these records. Its mean square is
-        known to be 1, so that mean(error² - control²) + 1 estimates mean(error²), and the chance
-        of the records, which moves both alike, drops out.
+    A control is the same of an estimate that attains the bound on these records. Its mean square is
+    known to be 1, so that mean(error² - control²) + 1 estimates mean(error²), and the chance of the
+    records, which moves both alike, drops out.
     """
     squared = error**2 if control is None else error**2 - control**2
     if squared.size == 0:
@@ -77,11 +72,6 @@ def middle_half(values: FloatArray) -> float:
 
     A median alone moves in steps where the kernel counts CPU time in ticks, and a mean alone
     follows the few fits beside which something else ran.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Times, or ratios of times.
     """
     quarter = values.size // 4
     kept = np.sort(values)[quarter : values.size - quarter]

@@ -19,36 +19,18 @@ KNOTS = tuple(round(0.05 * k, 2) for k in range(11))
 
 
 def plain_pysindy(record: Record, truth: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """Fit one record by pysindy alone, at every threshold.
+    """Fit one record, in one piece, by pysindy alone, at every threshold.
 
-    Parameters
-    ----------
-    record : Record
-        In one piece.
-    truth : dict
-        Terms and coefficients: which settings are right is told by them.
-
-    Returns
-    -------
-    dict
-        For the finite difference ("FD") and the smoothed one over 11 samples ("SFD"): `right`, the
-        settings that give the truth; `tau_s` of the regression on the true terms alone; `cpu_s` of
-        one fit at one threshold.
+    For the finite difference ("FD") and the smoothed one over 11 samples ("SFD") it gives `right`,
+    the settings that give the true terms; `tau_s` of the regression on those alone; and `cpu_s` of
+    one fit at one threshold.
     """
     needed = any("psi_p" in name for name in truth)
     return {name: _fit(record, truth, name, needed) for name in DERIVATIVES}
 
 
 def make_model(derivative: str, with_psi: bool) -> tuple[Any, list[str]]:
-    """Return pysindy's model with its library, not fitted, and the names of the terms.
-
-    Parameters
-    ----------
-    derivative : str
-        Of `DERIVATIVES`.
-    with_psi : bool
-        Whether powers of ψ' are in the library.
-    """
+    """Return pysindy's model, not fitted, and the names of its terms, with powers of ψ' or not."""
     import pysindy
 
     if derivative == "FD":

@@ -34,16 +34,9 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 def drawn_out(record: Record, window: slice, n_rows: int) -> pd.DataFrame:
-    """Return a longer record: its cycles over and over behind its beginning.
+    """Return a record of so many rows: its cycles over and over behind its beginning.
 
-    Parameters
-    ----------
-    record : Record
-        As read; counts are written as whole numbers, as a logger does.
-    window : slice
-        Rows of its surge cycles.
-    n_rows : int
-        Of the longer record.
+    Counts are written as whole numbers, as a logger does; the window has the rows of the cycles.
     """
     number = np.arange(n_rows)
     length = window.stop - window.start

@@ -29,20 +29,7 @@ def read(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
 
 
 def reduce_by_script(raw: pd.DataFrame, test: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return φ and ψ' of a record.
-
-    Parameters
-    ----------
-    raw : DataFrame
-        `time_s` and the channels, in counts and kelvin.
-    test : dict
-        The test description as read from TOML.
-
-    Returns
-    -------
-    phi, psi_p : ndarray of shape (n,)
-        Flow coefficient and instantaneous pressure coefficient.
-    """
+    """Return φ and ψ' from channels in counts and kelvin, and what test.toml says of them."""
     machine, channels = test["compressor"], test["channels"]
     gamma, gas = machine["gamma"], machine["gas_constant_J_kg_K"]
     heat = gamma * gas / (gamma - 1.0)

@@ -46,28 +46,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One setting.
+    """One setting; the last three as of `surge_truths.simulate_record`."""
 
-    Parameters
-    ----------
-    group : str
-        Name for `--only`.
-    truth : str
-        Key of `surge_truths.TRUTHS`.
-    noise : float
-        Share of each signal's standard deviation.
-    n_samples : int
-        Length of the record.
-    wanted : float or None
-        Share of records in which the truth must be found; None where that is only reported.
-    colour, late, pieces
-        See `surge_truths.simulate_record`.
-    """
-
-    group: str
-    truth: str
-    noise: float
+    group: str  # Name for `--only`
+    truth: str  # Key of `surge_truths.TRUTHS`
+    noise: float  # Share of each signal's standard deviation
     n_samples: int = 5000
+    # Share of records in which the truth must be found; None where that is only reported.
     wanted: float | None = None
     colour: float = 0.0
     late: int = 0
@@ -75,15 +60,8 @@ class Case:
 
     def record(self, seed: int) -> Record:
         """Make one record."""
-        made = simulate_record(
-            self.truth,
-            self.noise,
-            seed,
-            self.n_samples,
-            colour=self.colour,
-            late=self.late,
-            pieces=self.pieces,
-        )
+        kind = {"colour": self.colour, "late": self.late, "pieces": self.pieces}
+        made = simulate_record(self.truth, self.noise, seed, self.n_samples, **kind)
         return made.measured
 
 

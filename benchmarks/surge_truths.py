@@ -47,14 +47,9 @@ TRUTHS: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class Record:
-    """One record.
+    """One record: measured φ and ψ', and the number of the in-stall piece of each row.
 
-    Parameters
-    ----------
-    phi, psi_p : ndarray of shape (n,)
-        Measured φ and ψ'.
-    labels : ndarray of int of shape (n,) or None
-        Number of the in-stall piece of each row; None for a record in one piece.
+    One in one piece has no numbers.
     """
 
     phi: FloatArray
@@ -64,15 +59,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A record with what it was before it was measured.
-
-    Parameters
-    ----------
-    measured : Record
-        What was measured.
-    phi, psi_p : ndarray of shape (n,)
-        Without noise, over the whole record.
-    """
+    """A record with what it was before it was measured, whole and without noise."""
 
     measured: Record
     phi: FloatArray
@@ -89,29 +76,12 @@ def simulate_record(
     late: int = 0,
     pieces: bool = False,
 ) -> Simulated:
-    """Simulate and measure one record, and keep its truth.
+    """Simulate and measure one record at 1 kHz, and keep its truth.
 
-    Parameters
-    ----------
-    truth : str
-        Key of `TRUTHS`.
-    noise : float
-        Standard deviation of the noise as a share of each signal's own.
-    seed : int
-        A record's random numbers depend on this and on every other argument.
-    n_samples : int
-        Number of samples at 1 kHz.
-    colour : float
-        Coefficient of a first-order autoregression of the noise; 0 is white.
-    late : int
-        Samples by which ψ' is measured too late.
-    pieces : bool
-        Keep the in-stall pieces alone, cut to unequal lengths.
-
-    Returns
-    -------
-    Simulated
-        What was measured, and what it was before.
+    Its random numbers depend on the seed and on every other argument: the noise as a share of each
+    signal's standard deviation; its colour, the coefficient of a first-order autoregression; the
+    samples by which ψ' is measured too late; and whether the in-stall pieces alone are kept, cut to
+    unequal lengths.
     """
     key = f"{truth}|{noise}|{n_samples}|{colour}|{late}|{pieces}"
     rng = np.random.default_rng([seed, zlib.crc32(key.encode())])
@@ -224,16 +194,6 @@ def canonical(names: Iterable[str]) -> frozenset[str]:
 
     φ|φ| = φ² - 2 φ²[φ<0], so that any two of these three span the same model; and a product is the
     same in either order.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Names of the terms.
-
-    Returns
-    -------
-    frozenset of str
-        The structure.
     """
     terms = {" ".join(sorted(_plain(name).split(), reverse=True)) for name in names}
     aliases = {"phi^2", "phi^2[phi<0]", "phi|phi|"}
@@ -266,16 +226,8 @@ def tau_bound(terms: dict[str, float], made: Simulated, noise: float) -> TauBoun
     ψ'[k+1] = p ψ'[k] + (1 - R) f[k+1] + (R - p) f[k], p = exp(-h/τ), R = (1 - p) τ/h, f = Σ β s(φ).
     With white noise on ψ' and on φ, and every true φ[k] unknown, the information on (τ, β) is
     J' S⁻¹ J: J is the slope of this equation's error, S its covariance when both noises are put in.
-    That this is the information with all φ[k] as nuisance parameters is Woodbury's identity.
-
-    Parameters
-    ----------
-    terms : dict
-        The truth, without terms in ψ'.
-    made : Simulated
-        The record, in one piece, with what it was before it was measured.
-    noise : float
-        Standard deviation of the noise as a share of each signal's own.
+    That this is the information with all φ[k] as nuisance parameters is Woodbury's identity. The
+    terms are those of the truth, without any in ψ', and the record is in one piece.
     """
     p = np.exp(-PERIOD_S / TAU_S)
     ratio = (1.0 - p) * TAU_S / PERIOD_S

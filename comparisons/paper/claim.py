@@ -26,45 +26,27 @@ class Finding(NamedTuple):
     seen: Mapping[str, Any] = MappingProxyType({})
 
 
-Check: TypeAlias = Callable[[Instabilities], Finding]
+# What a check finds, by the numbers of the claims.
+Findings: TypeAlias = Mapping[int, Finding]
+Check: TypeAlias = Callable[[Instabilities], Findings]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper beside what was found.
+    """One claim of the paper beside what was found."""
 
-    Parameters
-    ----------
-    id : int
-        Its number in the list of claims.
-    section : str
-        Where in the paper.
-    claim : str
-        The claim in one sentence.
-    kind : {"conformance", "built in", "tested"}
-        What its check is worth: the code does as the paper says it did; the rig was made so; or
-        it comes from simulated counts and could have come out otherwise.
-    stated, found : float or str
-        The number the paper states and the one found, or words where it states none.
-    holds : bool
-        Whether it holds.
-    how : str
-        How it was tested, and what else was seen.
-    unit : str
-        Unit of the numbers.
-    machines : tuple of bool
-        Whether it holds on each machine drawn about the paper's; empty where it was not asked.
-    """
-
-    id: int
-    section: str
-    claim: str
+    id: int  # Its number in the list of claims
+    section: str  # Where in the paper
+    claim: str  # In one sentence
+    # What its check is worth. "conformance": the code does as the paper says it did; "built in":
+    # the rig was made so; "tested": it comes from simulated counts and could be otherwise.
     kind: str
-    stated: float | str
+    stated: float | str  # The number of the paper, or words where it has none
     found: float | str
     holds: bool
-    how: str
+    how: str  # How it was tested, and what else was seen
     unit: str = ""
+    # Whether it holds on each machine drawn about the paper's; empty where it was not asked.
     machines: tuple[bool, ...] = ()
 
     def shown(self, value: float | str) -> str:
@@ -79,13 +61,7 @@ class Claim:
 
 
 def claims_json(claims: Sequence[Claim]) -> list[dict[str, Any]]:
-    """Return the rows of ``reproduce --json``: id, claim, kind, stated, found, holds.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    """
+    """Return the rows of ``reproduce --json``: id, claim, kind, stated, found, holds."""
     rows = []
     for claim in claims:
         row = {n: getattr(claim, n) for n in ("id", "claim", "kind", "stated", "found", "holds")}
@@ -95,13 +71,7 @@ def claims_json(claims: Sequence[Claim]) -> list[dict[str, Any]]:
 
 
 def claims_table(claims: Sequence[Claim]) -> str:
-    """Return the claims as text for a terminal, those that do not hold with their reasons.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    """
+    """Return the claims as text for a terminal, those that do not hold with their reasons."""
     fields = []
     for claim in claims:
         lines = [
@@ -130,13 +100,7 @@ def _title(claims: Sequence[Claim]) -> str:
 
 
 def claims_block(claims: Sequence[Claim]) -> Table:
-    """Return the claims as a table of the report.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    """
+    """Return the claims as a table of the report."""
     heads = (
         Head("", numeric=True),
         Head(

@@ -10,22 +10,18 @@ from importlib.resources import files
 from typing import Any
 
 from comparisons.paper import claims_facility, claims_identification
-from comparisons.paper.claim import Check, Claim, Finding
+from comparisons.paper.claim import Check, Claim
 from comparisons.paper.instabilities import Instabilities
 from surge_core.errors import InputError
 
-MAIN = claims_facility.MAIN
-# A function named claim_NN checks claim NN; some numbers are read back from the paper's machine.
+# What checks each claim, by its number.
 _CHECKS: dict[int, Check] = {
-    number: lambda runs, read=read: Finding(read(runs[MAIN]))
-    for number, read in claims_facility.READ_BACK.items()
-} | {
-    int(name.removeprefix("claim_")): check
-    for module in (claims_facility, claims_identification)
-    for name, check in vars(module).items()
-    if name.startswith("claim_")
+    number: check
+    for checks in (claims_facility.CHECKS, claims_identification.CHECKS)
+    for check, numbers in checks.items()
+    for number in numbers
 }
-CHECKS = dict(sorted(_CHECKS.items()))
+CHECKS = {number: _CHECKS[number] for number in sorted(_CHECKS)}
 # Claims whose numbers are those of one machine and its facility: another machine has others, and
 # the claim is judged on the paper's alone. The rest must hold on most machines as well.
 OF_ONE_MACHINE = frozenset({19, 23, 25, 26, 28, 33, 37, 44})
@@ -40,20 +36,8 @@ def check_claims(
 ) -> tuple[Claim, ...]:
     """Check every claim of the paper against the runs.
 
-    Parameters
-    ----------
-    runs : Instabilities
-        The four instabilities and the steady stall.
-    others : sequence of Instabilities
-        The same of other machines: a claim of the kind "tested" that is not of one machine must
-        hold on more than half of them too.
-    progress : callable
-        Wraps the iteration over the claims, to show how far it is.
-
-    Returns
-    -------
-    tuple of Claim
-        In the order of their numbers.
+    A claim of the kind "tested" that is not of one machine must hold on more than half of the other
+    machines too.
     """
     return tuple(_over_machines(check_claim(runs, n), others) for n in progress(CHECKS))
 
@@ -76,15 +60,7 @@ def _holds_on(runs: Instabilities, number: int) -> bool | None:
 
 
 def check_claim(runs: Instabilities, number: int) -> Claim:
-    """Check one claim.
-
-    Parameters
-    ----------
-    runs : Instabilities
-        The four instabilities and the steady stall.
-    number : int
-        Its number, from 1.
-    """
+    """Check one claim by its number, from 1."""
     text = files("comparisons.paper").joinpath("claims.csv").read_text("utf-8")
     row = list(csv.DictReader(text.splitlines()))[number - 1]
     stated: float | str
@@ -92,7 +68,7 @@ def check_claim(runs: Instabilities, number: int) -> Claim:
         stated = float(row["stated"])
     except ValueError:
         stated = row["stated"]
-    found, holds, seen = CHECKS[number](runs)
+    found, holds, seen = CHECKS[number](runs)[number]
     # Rows go to JSON, which knows no numpy.
     plain = found if isinstance(found, str) else float(found)
     if holds is None:

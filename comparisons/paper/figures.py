@@ -63,18 +63,7 @@ SHOWN_S = 1.2
 
 
 def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
-    """Draw the six pictures.
-
-    Parameters
-    ----------
-    runs : Instabilities
-        All runs.
-
-    Returns
-    -------
-    tuple of Picture
-        In the order of the paper, the validation last; each names the figure that it stands beside.
-    """
+    """Draw the six pictures, in the order of the paper, the validation last."""
     high, low = runs["985"], runs["90"]
     return (
         _spectra(low),
@@ -252,8 +241,9 @@ def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None
     return reconstruct_record(model, (other or run).paper.series)
 
 
-def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
+def _over_time(*shown: tuple[Reconstruction, str, Any]) -> Figure:
     """Draw measured ψ' and reconstructions of it over the first second of the window."""
+    figure, ax = _panel(TIME, ACTUAL)
     rows = shown[0][0].rows
     pieces = runs_of(rows.labels, rows.measured.size)
     actual = broken(rows.time_s, rows.measured, pieces)
@@ -268,21 +258,20 @@ def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
     ax.set_ylim(
         *robust_limits(rows.measured[near], *(one.reconstructed[near] for one, *_ in shown))
     )
+    legend_above(figure, ax)
+    return figure
 
 
 def _reconstruction(run: InstabilityRun) -> Picture:
     """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
     good, bad = (_held(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
-    figure, ax = _panel(TIME, ACTUAL)
-    _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
-    legend_above(figure, ax)
+    figure = _over_time((good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
     return _picture("reconstruction", figure, {"good": good.score, "bad": bad.score})
 
 
 def _validation(run: InstabilityRun, other: InstabilityRun) -> Picture:
     """Draw the curve of one 98.5 % instability run over the measured flow of the other."""
     own, new = (_held(run, TRIAL_TIME_CONSTANT_S, over) for over in (run, other))
-    figure, ax = _panel(TIME, ACTUAL)
-    _over_time(ax, (new, ACCENT, "-"))
-    legend_above(figure, ax)
-    return _picture("validation", figure, {"new": new.score, "own": own.score})
+    return _picture(
+        "validation", _over_time((new, ACCENT, "-")), {"new": new.score, "own": own.score}
+    )

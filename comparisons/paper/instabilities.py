@@ -62,25 +62,14 @@ PAPER_SETTINGS = ReductionSettings(
 
 @dataclass(frozen=True)
 class InstabilityRun:
-    """One test: the rig's run, its reduction, and what the paper's estimator made of it.
+    """One test: the rig's run, its reduction, and what the paper's estimator made of it."""
 
-    Parameters
-    ----------
-    case : str
-        Name of the rig's case.
-    rig : RigRun
-        Raw record, test description, truth.
-    paper : Reduction
-        Reduced as in the paper (`PAPER_SETTINGS`).
-    fits : mapping of str to FittedLag
-        ``"psi_p"`` and, where ψ is known, ``"psi"`` by maximum likelihood with zero-order hold, no
-        equation straddling two intervals; ``"psi_p_linked"`` with the intervals linked as in the
-        paper. The steady record has none.
-    """
-
-    case: str
+    case: str  # Name of the rig's case
     rig: RigRun
-    paper: Reduction
+    paper: Reduction  # Reduced as in the paper (`PAPER_SETTINGS`)
+    # ``"psi_p"`` and, where ψ is known, ``"psi"`` by maximum likelihood with zero-order hold, no
+    # equation straddling two intervals; ``"psi_p_linked"`` with the intervals linked as in the
+    # paper. The steady record has none.
     fits: Mapping[str, FittedLag]
 
     @property
@@ -127,15 +116,7 @@ Instabilities: TypeAlias = Mapping[str, InstabilityRun]
 def run_instabilities(
     seed: int = 0, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
 ) -> Instabilities:
-    """Simulate, reduce and fit every test of the paper.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the rig's sensors.
-    progress : callable
-        Wraps the iteration over the cases, to show how far it is.
-    """
+    """Simulate, reduce and fit every test of the paper, with one seed of the rig's sensors."""
     cases = (*INSTABILITIES, STEADY_STALL)
     return {case: run_case(case, seed) for case in progress(cases)}
 
@@ -149,15 +130,6 @@ def run_machines(
     same for all tests of a machine. One that does not surge at each speed is drawn again, for a
     claim about surge says nothing of it. The window of the cycles is the paper's where it states
     one.
-
-    Parameters
-    ----------
-    n : int
-        Number of machines.
-    seed : int
-        Of the draws, and of the sensors.
-    progress : callable
-        Wraps the iteration over the machines, to show how far it is.
     """
     rng = np.random.default_rng([seed, 36])
     return tuple(_machine(rng, seed + 1 + k) for k in progress(range(n)))
@@ -183,15 +155,7 @@ def _machine(rng: np.random.Generator, seed: int) -> Instabilities:
 
 
 def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
-    """Simulate, reduce and fit one test.
-
-    Parameters
-    ----------
-    case : str or RigCase
-        The rig's case.
-    seed : int
-        Seed of the rig's sensors.
-    """
+    """Simulate, reduce and fit one test."""
     name = case if isinstance(case, str) else case.name
     rig = simulate(case, seed=seed)
     paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name)))
@@ -205,15 +169,7 @@ def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
 
 
 def reduce_run(rig: RigRun, settings: ReductionSettings = PAPER_SETTINGS) -> Reduction:
-    """Reduce a run of the rig from its files, as a real record is.
-
-    Parameters
-    ----------
-    rig : RigRun
-        The run.
-    settings : ReductionSettings
-        The switches of the reduction.
-    """
+    """Reduce a run of the rig from its files, as a real record is."""
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "run"
         write_run(rig, raw)
@@ -225,19 +181,7 @@ def fit_paper(
 ) -> FittedLag:
     """Fit Eq 9 by maximum likelihood with zero-order hold: a parabola (Eq 12), for ψ Fig 22.
 
-    Parameters
-    ----------
-    series : CoefficientSeries
-        A reduced record.
-    target : {"psi_p", "psi"}
-        Which coefficient.
-    link_segments : bool
-        Link the in-stall intervals into one series, as the paper did.
-
-    Returns
-    -------
-    FittedLag
-        τ and the characteristic.
+    The in-stall intervals may be linked into one series, as the paper did.
     """
     rows = stack_rows([series], target)
     basis = PiecewiseLinear(psi_breakpoints(rows, "zero")) if target == "psi" else None

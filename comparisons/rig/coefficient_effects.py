@@ -41,30 +41,19 @@ _DEEPEST_CORRECTION = 0.6
 class Form:
     """How an effect is drawn and how large it may be made.
 
-    Parameters
-    ----------
-    size : str
-        Name of the parameter that its strength is set by.
-    sizes : callable
-        Plant to the size of a visible effect, and to the largest that still makes sense.
-    draw : callable
-        Plant and generator to its other parameters.
-    signed : bool
-        Whether the size may be negative as well.
-    curve, lag, output : callable, optional
-        What it makes of ψ'_QS, of τ as a factor, or of ψ' as sensors and reduction show it; an
-        effect that has none of them acts in the integration itself.
-    levels : callable
-        Parameters to the values of the acting φ at which it begins or ends.
+    One that has neither curve, lag nor output acts in the integration itself.
     """
 
-    size: str
+    size: str  # Name of the parameter that its strength is set by
+    # Plant to the size of a visible effect, and to the largest that still makes sense.
     sizes: Callable[[Plant], tuple[float, float]]
+    # Plant and generator to its other parameters.
     draw: Callable[[Plant, np.random.Generator], dict[str, float]] = lambda plant, rng: {}
-    signed: bool = False
-    curve: Change | None = None
-    lag: Callable[[Parameters, Points], FloatArray] | None = None
-    output: Change | None = None
+    signed: bool = False  # Whether the size may be negative as well
+    curve: Change | None = None  # What it makes of ψ'_QS
+    lag: Callable[[Parameters, Points], FloatArray] | None = None  # Factor on τ
+    output: Change | None = None  # What it makes of ψ' as sensors and reduction show it
+    # Parameters to the values of the acting φ at which it begins or ends.
     levels: Callable[[Parameters], tuple[float, ...]] = lambda p: ()
 
 
@@ -102,9 +91,9 @@ def _thermocouple_sizes(plant: Plant) -> tuple[float, float]:
     return 0.2, _DEEPEST_CORRECTION / max(swings)
 
 
-def _stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
+def _stall_state(phi: FloatArray, p: Parameters) -> NDArray[np.bool_]:
     """Return the state of a Schmitt trigger: set below `phi_lo`, until above `phi_hi`."""
-    decided = np.where(phi < phi_lo, 1, np.where(phi > phi_hi, 0, -1))
+    decided = np.where(phi < p["phi_lo"], 1, np.where(phi > p["phi_hi"], 0, -1))
     decided[0] = max(decided[0], 0)
     last = np.maximum.accumulate(np.where(decided >= 0, np.arange(phi.size), 0))
     return np.asarray(decided[last] == 1)
@@ -117,12 +106,8 @@ def _heating(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
 
 
 def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
-    speed = at.plant.speeds[at.record].values(at.time_s)
+    speed, _ = at.plant.speeds[at.record].at(at.time_s)
     return np.asarray(speed / p["reference_frac"])
-
-
-def _hysteresis(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
-    return np.asarray(curve - p["step"] * _stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
 
 
 def _reverse(p: Parameters, at: Points) -> FloatArray:
@@ -151,19 +136,9 @@ def _amplitude_lag(p: Parameters, at: Points) -> FloatArray:
     return np.asarray(1.0 + p["slope"] * (amplitude / p["mean_amplitude"] - 1.0))
 
 
-def _asymmetric_lag(p: Parameters, at: Points) -> FloatArray:
-    return np.broadcast_to(1.0 + p["slope"] * np.sign(at.phi_rate), at.phi.shape)
-
-
-def _flow_lag(p: Parameters, at: Points) -> FloatArray:
-    below = at.branch_phi < p["phi_threshold"]
-    return np.broadcast_to(1.0 + p["slope"] * below, at.phi.shape)
-
-
 def _thermocouple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
-    channel = at.plant.temperatures[at.record]
-    shown = channel.values(at.time_s)
-    return np.asarray(psi * shown / (shown + p["lag_s"] * channel.rates(at.time_s)))
+    shown, rate = at.plant.temperatures[at.record].at(at.time_s)
+    return np.asarray(psi * shown / (shown + p["lag_s"] * rate))
 
 
 def _ripple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
@@ -198,7 +173,7 @@ _CATALOGUE: Mapping[str, Form] = {
         "step",
         lambda p: (0.05 * p.psi_std, 5.0 * p.psi_std),
         _draw_hysteresis,
-        curve=_hysteresis,
+        curve=lambda p, at, curve: curve - p["step"] * _stall_state(at.branch_phi, p),
         levels=lambda p: (p["phi_lo"], p["phi_hi"]),
     ),
     "reverse_flow_branch": Form(
@@ -225,14 +200,17 @@ _CATALOGUE: Mapping[str, Form] = {
         lag=_amplitude_lag,
     ),
     "asymmetric_lag": Form(
-        "slope", lambda p: (0.03, _LIMIT_OF_TAU), signed=True, lag=_asymmetric_lag
+        "slope",
+        lambda p: (0.03, _LIMIT_OF_TAU),
+        signed=True,
+        lag=lambda p, at: 1.0 + p["slope"] * np.sign(at.phi_rate),
     ),
     "flow_dependent_lag": Form(
         "slope",
         lambda p: (0.05, _LIMIT_OF_TAU),
         lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
         signed=True,
-        lag=_flow_lag,
+        lag=lambda p, at: 1.0 + p["slope"] * (at.branch_phi < p["phi_threshold"]),
         levels=lambda p: (p["phi_threshold"],),
     ),
     "flow_inertia": Form(

@@ -41,30 +41,17 @@ class FlowSignal:
 
     φ = mean + A a(t) Σ hₖ sin(kθ(t) + pₖ) + Σ bⱼ sin(2πfⱼt + qⱼ), a = 1 + m sin(2πfₘt + pₘ),
     θ = 2πft + p + w sin(2πf_w t + p_w), with t from the record's own start.
-
-    Parameters
-    ----------
-    origin_s : float
-        Start of the record on the facility clock, in seconds.
-    surge_hz, mean, amplitude : float
-        f in Hz, mean flow and A.
-    phase : float
-        p in rad.
-    modulation, wander : tuple of float
-        (m, fₘ, pₘ) and (w in rad, f_w, p_w).
-    harmonics, tones : ndarray of shape (n, 2), (n, 3)
-        Rows of (hₖ, pₖ), k from 1 on, and of (bⱼ, fⱼ, qⱼ).
     """
 
-    origin_s: float
-    surge_hz: float
+    origin_s: float  # Start of the record on the facility clock
+    surge_hz: float  # f
     mean: float
-    amplitude: float
-    phase: float
-    modulation: tuple[float, float, float]
-    wander: tuple[float, float, float]
-    harmonics: FloatArray
-    tones: FloatArray
+    amplitude: float  # A
+    phase: float  # p in rad
+    modulation: tuple[float, float, float]  # m, fₘ, pₘ
+    wander: tuple[float, float, float]  # w in rad, f_w, p_w
+    harmonics: FloatArray  # Rows of hₖ and pₖ, k from 1 on
+    tones: FloatArray  # Rows of bⱼ, fⱼ, qⱼ
 
     def angle(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return θ in rad and dθ/dt in rad/s at times on the facility clock."""
@@ -74,103 +61,67 @@ class FlowSignal:
         angle = 2.0 * pi * self.surge_hz * t + self.phase + depth * np.sin(inner)
         return angle, 2.0 * pi * (self.surge_hz + depth * hz * np.cos(inner))
 
-    def values(self, time_s: FloatArray) -> FloatArray:
-        """Return φ at times on the facility clock, in seconds."""
-        angle, _ = self.angle(time_s)
-        t = time_s - self.origin_s
-        depth, hz, phase = self.modulation
-        wave = np.zeros_like(t)
-        for k, (size, lag) in enumerate(self.harmonics, start=1):
-            wave += size * np.sin(k * angle + lag)
-        wave *= self.amplitude * (1.0 + depth * np.sin(2.0 * pi * hz * t + phase))
-        for size, tone_hz, lag in self.tones:
-            wave += size * np.sin(2.0 * pi * tone_hz * t + lag)
-        return self.mean + wave
-
-    def rates(self, time_s: FloatArray) -> FloatArray:
-        """Return dφ/dt in 1/s at times on the facility clock, in seconds."""
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return φ and dφ/dt in 1/s at times on the facility clock."""
         angle, speed = self.angle(time_s)
         t = time_s - self.origin_s
         depth, hz, phase = self.modulation
-        wave, wave_rate = np.zeros_like(t), np.zeros_like(t)
+        wave, rate = np.zeros_like(t), np.zeros_like(t)
         for k, (size, lag) in enumerate(self.harmonics, start=1):
             wave += size * np.sin(k * angle + lag)
-            wave_rate += k * size * np.cos(k * angle + lag)
+            rate += k * size * np.cos(k * angle + lag)
         inner = 2.0 * pi * hz * t + phase
-        rate: FloatArray = wave_rate * speed * (1.0 + depth * np.sin(inner))
+        swell = 1.0 + depth * np.sin(inner)
+        rate = rate * speed * swell
         rate += wave * depth * 2.0 * pi * hz * np.cos(inner)
         rate *= self.amplitude
+        wave *= self.amplitude * swell
         for size, tone_hz, lag in self.tones:
+            wave += size * np.sin(2.0 * pi * tone_hz * t + lag)
             rate += size * 2.0 * pi * tone_hz * np.cos(2.0 * pi * tone_hz * t + lag)
-        return rate
+        return self.mean + wave, rate
+
+    def values(self, time_s: FloatArray) -> FloatArray:
+        """Return φ at times on the facility clock."""
+        return self.at(time_s)[0]
+
+    def rates(self, time_s: FloatArray) -> FloatArray:
+        """Return dφ/dt in 1/s at times on the facility clock."""
+        return self.at(time_s)[1]
 
 
 @dataclass(frozen=True)
 class ChannelSignal:
-    """T25 or Nc of one record: level (1 + s sin(2πf_s t + p_s) + c sin(θ + p_c)).
+    """T25 or Nc of one record: level (1 + s sin(2πf_s t + p_s) + c sin(θ + p_c))."""
 
-    Parameters
-    ----------
-    flow : FlowSignal
-        The flow whose surge angle θ the channel follows.
-    level : float
-        Mean, in the channel's unit.
-    slow : tuple of float
-        (s, f_s in Hz, p_s in rad), on the facility clock.
-    cyclic : tuple of float
-        (c, p_c in rad).
-    """
+    flow: FlowSignal  # Whose surge angle θ the channel follows
+    level: float  # Mean, in the channel's unit
+    slow: tuple[float, float, float]  # s, f_s in Hz, p_s in rad, on the facility clock
+    cyclic: tuple[float, float]  # c, p_c in rad
 
-    flow: FlowSignal
-    level: float
-    slow: tuple[float, float, float]
-    cyclic: tuple[float, float]
-
-    def values(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel at times on the facility clock, in seconds."""
-        angle, _ = self.flow.angle(time_s)
-        share, hz, phase = self.slow
-        swing, lag = self.cyclic
-        slow = share * np.sin(2.0 * pi * hz * time_s + phase)
-        return np.asarray(self.level * (1.0 + slow + swing * np.sin(angle + lag)))
-
-    def rates(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel's time derivative at times on the facility clock, per second."""
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the channel and its rate, per second, at times on the facility clock."""
         angle, speed = self.flow.angle(time_s)
         share, hz, phase = self.slow
         swing, lag = self.cyclic
-        slow = share * 2.0 * pi * hz * np.cos(2.0 * pi * hz * time_s + phase)
-        return np.asarray(self.level * (slow + swing * speed * np.cos(angle + lag)))
+        inner = 2.0 * pi * hz * time_s + phase
+        value = 1.0 + share * np.sin(inner) + swing * np.sin(angle + lag)
+        rate = share * 2.0 * pi * hz * np.cos(inner) + swing * speed * np.cos(angle + lag)
+        return np.asarray(self.level * value), np.asarray(self.level * rate)
 
 
 @dataclass(frozen=True)
 class Plant:
-    """Truth of one test without any effect: τ dψ'/dt + ψ' = Σ βᵢ φⁱ over several records.
-
-    Parameters
-    ----------
-    flows : tuple of FlowSignal
-        φ(t) of each record.
-    temperatures, speeds : tuple of ChannelSignal
-        T25 in kelvin and Nc as a fraction, of each record.
-    duration_s, sample_period_s : float
-        Length of each record, and time between two samples, in seconds.
-    tau_s : float
-        Time constant τ, in seconds.
-    beta : tuple of float
-        Coefficients of ψ'_QS in plain powers of φ.
-    stall_phi : float
-        φ below which the machine is in stall.
-    """
+    """Truth of one test without any effect: τ dψ'/dt + ψ' = Σ βᵢ φⁱ over several records."""
 
     flows: tuple[FlowSignal, ...]
-    temperatures: tuple[ChannelSignal, ...]
-    speeds: tuple[ChannelSignal, ...]
-    duration_s: float
+    temperatures: tuple[ChannelSignal, ...]  # T25 in kelvin of each record
+    speeds: tuple[ChannelSignal, ...]  # Nc as a fraction
+    duration_s: float  # Of each record
     sample_period_s: float
     tau_s: float
     beta: tuple[float, ...]
-    stall_phi: float
+    stall_phi: float  # φ below which the machine is in stall
 
     def quasi_steady(self, phi: FloatArray) -> FloatArray:
         """Return ψ'_QS(φ)."""
@@ -202,7 +153,7 @@ class Plant:
     @cached_property
     def mean_speed(self) -> float:
         """Mean Nc over all records: the reference of the droop."""
-        return float(np.mean([s.values(s.flow.origin_s + self._clock_s) for s in self.speeds]))
+        return float(np.mean([s.at(s.flow.origin_s + self._clock_s)[0] for s in self.speeds]))
 
     @cached_property
     def amplitudes(self) -> tuple[CubicSpline, ...]:
@@ -223,26 +174,15 @@ class Plant:
 class Points:
     """Instants of one record, and what its flow does there.
 
-    Parameters
-    ----------
-    plant : Plant
-        The test.
-    record : int
-        Number of the record, from 0.
-    time_s : ndarray of shape (n,) or (3, m)
-        The instants: samples, or the starts, middles and ends of m steps of integration, none of
-        which holds the beginning of a branch.
-    phi : ndarray
-        φ there, in the shape of `time_s`.
-    phi_rate : ndarray of shape (n,) or (m,)
-        dφ/dt in 1/s at the samples, or at the middles of the steps.
+    They are n samples, or in rows of m the starts, middles and ends of steps of integration, none
+    of which holds the beginning of a branch.
     """
 
     plant: Plant
-    record: int
+    record: int  # From 0
     time_s: FloatArray
-    phi: FloatArray
-    phi_rate: FloatArray
+    phi: FloatArray  # In the shape of the instants
+    phi_rate: FloatArray  # dφ/dt in 1/s at the samples, or at the middles of the steps
 
     @property
     def branch_phi(self) -> FloatArray:
@@ -260,20 +200,8 @@ def draw_plant(
 ) -> Plant:
     """Draw a compressor and the records of its test.
 
-    Parameters
-    ----------
-    rng : Generator
-        Source of the draw.
-    n_records : int
-        Number of records.
-    duration_s, sample_period_s : float
-        Length of each, and time between two samples, in seconds.
-    degree : int
-        3: the cubic of Moore and Greitzer; 2: a parabola over the same flows.
-
-    Notes
-    -----
-    ψ'_QS = ψ'₀ + H (1 + 3/2 (φ/W − 1) − 1/2 (φ/W − 1)³), Moore & Greitzer (1986).
+    Of degree 3 the characteristic is ψ'₀ + H (1 + 3/2 (φ/W − 1) − 1/2 (φ/W − 1)³), Moore & Greitzer
+    (1986); of degree 2 it is a parabola over the same flows.
     """
     tau = float(np.exp(rng.uniform(*np.log(_TAU_S))))
     base, height, width = rng.uniform(0.2, 0.4), rng.uniform(0.12, 0.20), rng.uniform(0.21, 0.26)
@@ -313,6 +241,7 @@ def _draw_flows(rng: np.random.Generator, origins_s: FloatArray) -> tuple[FlowSi
     shares = (rng.permutation(n) + rng.uniform(0.1, 0.9, n)) / n
     sizes = np.array([1.0, rng.uniform(0.12, 0.25), rng.uniform(0.03, 0.08)])
     lags = rng.uniform(-pi, pi, 3)
+    tone = np.full(_BROADBAND_TONES, np.sqrt(2.0 / _BROADBAND_TONES))
     flows = []
     for origin, share in zip(origins_s, shares, strict=True):
         amplitude = rng.uniform(0.20, 0.28)
@@ -320,14 +249,9 @@ def _draw_flows(rng: np.random.Generator, origins_s: FloatArray) -> tuple[FlowSi
         harmonics = np.column_stack((sizes, lags + rng.uniform(-0.2, 0.2, 3)))
         modulation = rng.uniform(0.12, 0.22)
         wander = rng.uniform(0.2, 0.5)
-        tones = np.column_stack(
-            (
-                np.full(_BROADBAND_TONES, np.sqrt(2.0 / _BROADBAND_TONES))
-                * (amplitude * _BROADBAND),
-                rng.uniform(0.2, _BROADBAND_HZ, _BROADBAND_TONES),
-                rng.uniform(-pi, pi, _BROADBAND_TONES),
-            )
-        )
+        size = tone * (amplitude * _BROADBAND)
+        tone_hz = rng.uniform(0.2, _BROADBAND_HZ, _BROADBAND_TONES)
+        tones = np.column_stack((size, tone_hz, rng.uniform(-pi, pi, _BROADBAND_TONES)))
         flows.append(
             FlowSignal(
                 origin_s=float(origin),

@@ -33,28 +33,11 @@ def run_record(
     substeps: int,
     curve_offset: FloatArray | None = None,
 ) -> FloatArray:
-    """Simulate ψ' of one record.
+    """Return ψ' of one record, at its uniform samples on the facility clock.
 
-    Parameters
-    ----------
-    plant : Plant
-        The test.
-    record : int
-        Number of the record, from 0.
-    time_s : ndarray of shape (n,)
-        The samples on the facility clock, in seconds, uniform.
-    planted : mapping of str to mapping
-        Parameters of each effect, by name; empty for none.
-    substeps : int
-        Steps of integration from one sample to the next. A lag with constant τ is exact for a
-        ψ'_QS that is a parabola over a step, any other is of fourth order in it.
-    curve_offset : ndarray of shape (n,), optional
-        Added to ψ'_QS, held from each sample to the next.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ' at the samples, without noise.
+    A lag with constant τ is exact for a ψ'_QS that is a parabola over a step, of which there are
+    `substeps` from one sample to the next; any other is of fourth order in it. `curve_offset` is
+    added to ψ'_QS, held from each sample to the next.
     """
     at, step_s, samples = lay_steps(plant, record, time_s, planted, substeps)
     curve = plant.quasi_steady(at.phi)
@@ -71,7 +54,7 @@ def run_record(
     shown = psi[samples]
     flow = plant.flows[record]
     # Sensors see φ before any delay.
-    at = Points(plant, record, time_s, flow.values(time_s), flow.rates(time_s))
+    at = Points(plant, record, time_s, *flow.at(time_s))
     for name, parameters in planted.items():
         change = FORMS[name].output
         if change is not None:
@@ -82,22 +65,11 @@ def run_record(
 def lay_steps(
     plant: Plant, record: int, time_s: FloatArray, planted: Planted, substeps: int
 ) -> tuple[Points, FloatArray, IntArray]:
-    """Lay the steps of integration over a record, one of them ending at every event.
+    """Lay the m steps of integration over a record, one of them ending at every event.
 
-    Parameters
-    ----------
-    plant, record, time_s, planted, substeps
-        As in `run_record`.
-
-    Returns
-    -------
-    at : Points
-        Starts, middles and ends of the m steps, with the φ that acts there, from twelve of the
-        longest time constants before the first sample to the last one.
-    step_s : ndarray of shape (m,)
-        Lengths of the steps.
-    samples : ndarray of int
-        Where the samples are among the ends of the steps, the start of the first counted as 0.
+    Returned are their starts, middles and ends with the φ that acts there, from twelve of the
+    longest time constants before the first sample to the last one; their lengths; and where the
+    samples are among their m + 1 ends.
     """
     flow = plant.flows[record]
     delay_s = planted.get("transport_delay", {}).get("delay_s", 0.0)
@@ -121,8 +93,8 @@ def lay_steps(
         phi = np.insert(phi, place, flow.values(extra - delay_s))
     middles = 0.5 * (nodes[:-1] + nodes[1:])
     instants = np.stack((nodes[:-1], middles, nodes[1:]))
-    acting_phi = np.stack((phi[:-1], flow.values(middles - delay_s), phi[1:]))
-    rate = flow.rates(middles - delay_s)
+    middle_phi, rate = flow.at(middles - delay_s)
+    acting_phi = np.stack((phi[:-1], middle_phi, phi[1:]))
     return Points(plant, record, instants, acting_phi, rate), np.diff(nodes), samples
 
 
@@ -192,31 +164,15 @@ def _moment(z: Any, power: int) -> Any:
 
 @njit(cache=True)
 def constant_lag(step_s: Any, inputs: Any, tau_s: Any, start: Any) -> Any:
-    """Integrate τ dy/dt + y = u exactly for an input that is a parabola over each step.
+    """Integrate τ dy/dt + y = u exactly for an input that is a parabola over each of m steps.
 
-    Parameters
-    ----------
-    step_s : ndarray of shape (m,)
-        Length of each step, in seconds.
-    inputs : ndarray of shape (3, m)
-        u at the start, the middle and the end of each step.
-    tau_s : float or complex
-        Time constant; complex for one of the two modes of a lag that rings.
-    start : float or complex
-        y at the start of the first step, of the type of `tau_s`.
-
-    Returns
-    -------
-    ndarray of shape (m + 1,)
-        y at the ends of the steps, the start first.
+    `inputs` has u at the start, the middle and the end of each step (3, m); y comes at their m + 1
+    ends. τ is complex for one of the two modes of a lag that rings, and `start` of its type.
     """
     y = np.full(step_s.size + 1, start)
     last = -1.0
     # Moments of s⁰, s¹ and s² over the step; they change only with its length.
-    decay = start
-    m0 = start
-    m1 = start
-    m2 = start
+    decay = m0 = m1 = m2 = start
     for i in range(step_s.size):
         h = step_s[i]
         if h != last:
@@ -264,12 +220,7 @@ def _varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: fl
 def backlash(values: Any, half_width: float) -> Any:
     """Return what a sensor with play shows: it follows only when pushed by either edge.
 
-    Parameters
-    ----------
-    values : ndarray of shape (m,)
-        Signal, fine enough to be monotone between neighbours; the play starts in its middle.
-    half_width : float
-        Half the play.
+    The signal is monotone between neighbours; the play starts in its middle.
     """
     shown = np.empty_like(values)
     shown[0] = values[0]

@@ -194,25 +194,13 @@ def simulate_test(
         measured_phi = phi
         if noise in _PHI_NOISE:
             measured_phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
+        channels = (signals[i].at(time)[0] for signals in (plant.temperatures, plant.speeds))
+        in_stall = phi < plant.stall_phi
         records.append(
-            CoefficientRecord(
-                time_s=time,
-                phi=measured_phi,
-                psi_p=measured_psi,
-                T25_K=plant.temperatures[i].values(time),
-                Nc_frac=plant.speeds[i].values(time),
-                in_stall=phi < plant.stall_phi,
-                segment=segment,
-            )
+            CoefficientRecord(time, measured_phi, measured_psi, *channels, in_stall, segment)
         )
     return CoefficientTest(
-        records=tuple(records),
-        tau_s=plant.tau_s,
-        beta=plant.beta,
-        effects=planted,
-        strengths=strengths,
-        sigma=sigma,
-        clean=tuple(clean),
+        tuple(records), plant.tau_s, plant.beta, planted, strengths, sigma, tuple(clean)
     )
 
 
@@ -230,21 +218,20 @@ def _excess_of(
     two records.
     """
     starts = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
-
     laid = [lay_steps(plant, i, t, {}, _COARSE) for i, t in enumerate(starts)]
-    # Steps, powers of φ from the first on, and samples of each record.
+    # Powers of φ from the first on, and of each record input, steps and samples.
     inputs = [
-        (step_s, [np.ascontiguousarray(at.phi**k) for k in range(1, degree + 1)], samples)
-        for at, step_s, samples in laid
+        [(np.ascontiguousarray(at.phi**k), step_s, samples) for at, step_s, samples in laid]
+        for k in range(1, degree + 1)
     ]
 
     def left(psi: FloatArray, tau_s: float) -> FloatArray:
         """Return what the best polynomial leaves at a time constant; a constant needs no lag."""
         columns = [np.ones_like(psi)]
-        for k in range(degree):
+        for records in inputs:
             parts = [
-                constant_lag(step_s, powers[k], tau_s, float(powers[k][0, 0]))[samples]
-                for step_s, powers, samples in inputs
+                constant_lag(step_s, power, tau_s, float(power[0, 0]))[samples]
+                for power, step_s, samples in records
             ]
             columns.append(np.concatenate(parts))
         orthogonal, _ = np.linalg.qr(np.column_stack(columns))
@@ -279,30 +266,21 @@ def _size_effect(
     others = form.draw(plant, rng)
     sign = 1.0 if not form.signed or rng.random() < 0.5 else -1.0
     guess, limit = form.sizes(plant)
-
-    def parameters(size: float) -> dict[str, float]:
-        return {form.size: sign * size, **others}
-
     if strength == 0.0:
-        return parameters(0.0), 0.0
+        return {form.size: sign * 0.0, **others}, 0.0
     # What is left grows nearly in proportion to the size, and always with it.
     size, low, high = min(guess, limit), 0.0, limit
     for _ in range(_MAX_TRIALS):
-        reached = reached_by({name: parameters(size)})
-        if abs(reached / strength - 1.0) < _SIZE_TOLERANCE:
+        reached = reached_by({name: {form.size: sign * size, **others}})
+        too_weak = reached < strength
+        if abs(reached / strength - 1.0) < _SIZE_TOLERANCE or (too_weak and size >= limit):
             break
-        if reached < strength:
-            low = size
-            if size >= limit:
-                break
-        else:
-            high = size
-        proposed = size * strength / max(reached, 1e-3 * strength)
-        if not low < proposed < high:
+        low, high = (size, high) if too_weak else (low, size)
+        size = size * strength / max(reached, 1e-3 * strength)
+        if not low < size < high:
             # A limit not yet known to be too large answers itself whether it can be reached.
-            proposed = limit if high >= limit else 0.5 * (low + high)
-        size = proposed
-    return parameters(size), reached
+            size = limit if high >= limit else 0.5 * (low + high)
+    return {form.size: sign * size, **others}, reached
 
 
 def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:

@@ -25,6 +25,17 @@ SPEEDS = ("985", "90", "95")
 # What the in-stall curve has beside a parabola: pressure_kink max(φ − 0.08, 0) + pressure_cubic φ³.
 SHAPES = {"parabola": (0.0, 0.0), "kink 25": (25.0, 0.0)}
 SHAPES |= {f"+{size:g} φ³": (0.0, size) for size in (150.0, 300.0, 600.0)}
+# Ranges of what is drawn, in the order of the draws: shares of the case's own numbers, but for τ.
+_SHARES = {
+    "cells": (0.6, 1.6),
+    "discharge_volume_m3": (0.8, 1.3),
+    "exhaust_volume_m3": (0.7, 1.4),
+    "inlet_volume_m3": (0.7, 1.4),
+    "inertia_per_m": (0.85, 1.2),
+    "cell_frequency_hz": (0.75, 1.4),
+    "hub_tip_flow_kg_s": (0.6, 1.3),
+}
+_TAU_S, _TERMS, _REVERSE_LOSS = (0.010, 0.030), [(0.85, 1.15), (0.7, 1.3), (0.85, 1.15)], (0.5, 1.5)
 
 
 def draw_run(
@@ -32,15 +43,8 @@ def draw_run(
 ) -> tuple[RigRun, dict[str, Any]]:
     """Draw machines until one surges, and return its run and what was drawn.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    speed : str
-        Case that the draws are about, out of `SPEEDS`.
-    shape : str, optional
-        Out of `SHAPES`: what the in-stall curve has beside its parabola; without it one in four has
-        a bell.
+    They are drawn about a case, out of `SPEEDS`. The shape, out of `SHAPES`, is what the in-stall
+    curve has beside its parabola; without it one in four has a bell.
     """
     while True:
         run, about = _machine(rng, speed, shape)
@@ -50,15 +54,7 @@ def draw_run(
 
 
 def draw_record(seed: int, folder: str | Path) -> None:
-    """Draw a machine that surges and write its record, description and truth.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all.
-    folder : str or path
-        A folder that does not exist yet, or an empty one.
-    """
+    """Draw a machine that surges and write its record, description and truth into a new folder."""
     rng = np.random.default_rng(seed)
     run, _ = draw_run(rng, str(rng.choice(SPEEDS)))
     write_run(run, folder)
@@ -71,26 +67,20 @@ def _machine(
         return float(rng.uniform(low, high))
 
     base = CASES[speed]
-    terms = base.pressure_terms
-    cells = between(0.6, 1.6)
+    shares = {name: between(*ends) for name, ends in _SHARES.items()}
+    cells = shares.pop("cells")
+    moved: dict[str, Any] = {name: getattr(base, name) * share for name, share in shares.items()}
+    tau_s = between(*_TAU_S)
+    pairs = zip(base.pressure_terms, _TERMS, strict=True)
     case = replace(
         base,
         name="drawn",
-        discharge_volume_m3=base.discharge_volume_m3 * between(0.8, 1.3),
-        exhaust_volume_m3=base.exhaust_volume_m3 * between(0.7, 1.4),
-        inlet_volume_m3=base.inlet_volume_m3 * between(0.7, 1.4),
-        inertia_per_m=base.inertia_per_m * between(0.85, 1.2),
-        cell_frequency_hz=base.cell_frequency_hz * between(0.75, 1.4),
+        **moved,
         cell_pressure_frac=base.cell_pressure_frac * cells,
         cell_flow_kg_s=base.cell_flow_kg_s * cells,
-        hub_tip_flow_kg_s=base.hub_tip_flow_kg_s * between(0.6, 1.3),
-        tau_s=between(0.010, 0.030),
-        pressure_terms=(
-            terms[0] * between(0.85, 1.15),
-            terms[1] * between(0.7, 1.3),
-            terms[2] * between(0.85, 1.15),
-        ),
-        reverse_loss=base.reverse_loss * between(0.5, 1.5),
+        tau_s=tau_s,
+        pressure_terms=tuple(term * between(*ends) for term, ends in pairs),
+        reverse_loss=base.reverse_loss * between(*_REVERSE_LOSS),
         segmentation=None,
         window_s=None,
     )
@@ -108,12 +98,8 @@ def _machine(
         sample_rate_hz=rate_hz,
         anti_alias_hz=0.45 * rate_hz,
     )
-    run = simulate(
-        case,
-        seed=int(rng.integers(1 << 30)),
-        sensors=sensors,
-        hide="characteristic_shape" if bent else None,
-    )
+    hide = "characteristic_shape" if bent else None
+    run = simulate(case, seed=int(rng.integers(1 << 30)), sensors=sensors, hide=hide)
     rakes = 1 if rng.random() < 0.15 else 2
     immersions = 1 if other.random() < 0.1 else 2
     if rakes == 1:
@@ -134,14 +120,9 @@ def _machine(
 
 
 def shaped(case: RigCase, kink: float, cubic: float) -> RigCase:
-    """Bend the in-stall curve about the parabola nearest to it, or it would surge otherwise.
+    """Add kink max(φ − its place, 0) + cubic φ³ to the in-stall curve, less the nearest parabola.
 
-    Parameters
-    ----------
-    case : RigCase
-        The machine.
-    kink, cubic : float
-        Of max(φ − its kink, 0) and of φ³.
+    Bent by the whole of it the machine would surge otherwise.
     """
     phi = np.linspace(0.0, case.recovery_phi, 151)
     bend = kink * np.maximum(phi - case.kink_phi, 0.0) + cubic * phi**3

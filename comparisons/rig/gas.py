@@ -32,41 +32,16 @@ _NEWTON_STEPS = 60
 
 
 def corrected_flow_kg_s(mach: ArrayLike, area_m2: float) -> FloatArray:
-    """Return the corrected mass flow of a signed Mach number.
+    """Return the corrected mass flow of a Mach number, with its sign.
 
     Equation: W_c = A (P_o/√T_o) √(γ/R) M / (1 + (γ−1)/2 M²)³ (paper Eq 3, γ = 1.4).
-
-    Parameters
-    ----------
-    mach : array_like
-        Mach number, negative in reverse flow.
-    area_m2 : float
-        Annulus area in m².
-
-    Returns
-    -------
-    ndarray
-        Corrected mass flow in kg/s, with the sign of the Mach number.
     """
     m = np.asarray(mach, dtype=np.float64)
     return np.asarray(area_m2 * FLOW_CONSTANT_KG_S_M2 * m / (1.0 + 0.2 * m * m) ** 3)
 
 
 def mach_from_corrected_flow(corrected_kg_s: ArrayLike, area_m2: float) -> FloatArray:
-    """Return the subsonic signed Mach number of a corrected mass flow (inverse of Eq 3).
-
-    Parameters
-    ----------
-    corrected_kg_s : array_like
-        Corrected mass flow in kg/s.
-    area_m2 : float
-        Annulus area in m².
-
-    Returns
-    -------
-    ndarray
-        Mach number; flows beyond choking return ±1.
-    """
+    """Return the signed Mach number of a corrected flow (inverse of Eq 3), ±1 if choked."""
     w = np.asarray(corrected_kg_s, dtype=np.float64) / (area_m2 * FLOW_CONSTANT_KG_S_M2)
     size = np.minimum(np.abs(w), _CHOKED)
     # Newton from M = w stays below the root because the flow function is concave on 0 < M < 1, so
@@ -97,21 +72,8 @@ def probe_pressures_pa(
     and downstream hole at P / (1 + 0.2 M_calc²)^3.5. In reverse flow the two holes change places
     with the same constants of the pair. Below |M| = b the pair has nothing to show: a dead band.
 
-    Parameters
-    ----------
-    corrected_kg_s, total_pressure_pa : array_like
-        Local corrected flow in kg/s and local total pressure in Pa.
-    area_m2 : float
-        Annulus area in m².
-    slope, offset : float
-        Constants a and b of Eq 2.
-    ramp : float
-        Calculated Mach number below which b falls to nothing in proportion; 0: Eq 2 to zero flow.
-
-    Returns
-    -------
-    tuple of ndarray
-        Pressures of the forward-facing and of the aft-facing hole, in Pa.
+    `slope` and `offset` are a and b of Eq 2; below a calculated Mach number of `ramp` b falls to
+    nothing in proportion.
     """
     total = np.asarray(total_pressure_pa, dtype=np.float64)
     mach = mach_from_corrected_flow(corrected_kg_s, area_m2)

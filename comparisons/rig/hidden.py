@@ -68,13 +68,9 @@ class Hideable:
 def _hideable() -> dict[str, Hideable]:
     text = files("comparisons.rig").joinpath("hidden.toml").read_text("utf-8")
     numbers = {
-        "soak_s": HEAT_SOAK_S,
-        "settled": SETTLED_SPEED_FRAC,
-        "branch": BRANCH_PHIS,
-        "bump": BUMP_PHI,
-        "width": BUMP_WIDTH_PHI,
-        "low_flow": LOW_FLOW_PHI,
-    }
+        "soak_s": HEAT_SOAK_S, "settled": SETTLED_SPEED_FRAC, "branch": BRANCH_PHIS,
+        "bump": BUMP_PHI, "width": BUMP_WIDTH_PHI, "low_flow": LOW_FLOW_PHI,
+    }  # fmt: skip
     found = {}
     for name, table in tomllib.loads(text).items():
         low, high = table.pop("bounds")
@@ -91,46 +87,24 @@ UNTOUCHED: Alteration = {name: kind.neutral for name, kind in HIDEABLE.items()}
 def hide_effect(name: str | None, size: float | None) -> tuple[Alteration, dict[str, Any]]:
     """Return what an effect alters in a record, and its entry in the truth.
 
-    Parameters
-    ----------
-    name : str or None
-        One out of `HIDEABLE`; None: nothing is hidden.
-    size : float, optional
-        Its size, in the unit that `HIDEABLE` states; by default the one stated there.
-
-    Returns
-    -------
-    mapping of str to float
-        The size of every effect; those that are not hidden have their neutral one.
-    dict
-        Name, size, unit and what the size is; empty where nothing is hidden.
-
-    Raises
-    ------
-    InputError
-        When the name is not known, or the size is out of range or has no name to belong to.
+    The first has the size of every effect, the neutral one of those that are not hidden; the second
+    name, size, unit and what the size is, and is empty where nothing is hidden.
     """
     if name is None:
         if size is not None:
-            raise InputError(
-                "hide_size",
-                expected="a size only with the name of the effect that it belongs to",
-                found=f"{size!r} with no effect",
-                remedy="name the effect with hide",
-            )
+            expected = "a size only with the name of the effect that it belongs to"
+            found = f"{size!r} with no effect"
+            remedy = "name the effect with hide"
+            raise InputError("hide_size", expected=expected, found=found, remedy=remedy)
         return UNTOUCHED, {}
     if name not in HIDEABLE:
-        raise InputError(
-            "hide", expected="one of " + ", ".join(HIDEABLE), found=f"{name!r}", remedy="name one"
-        )
+        known = "one of " + ", ".join(HIDEABLE)
+        raise InputError("hide", expected=known, found=f"{name!r}", remedy="name one")
     kind = HIDEABLE[name]
     value = kind.default if size is None else float(size)
     least, most = kind.bounds
     if not least <= value <= most:
-        raise InputError(
-            f"hide_size of {name}",
-            expected=f"{least:g} to {most:g} ({kind.what})",
-            found=f"{value:g}",
-        )
+        expected = f"{least:g} to {most:g} ({kind.what})"
+        raise InputError(f"hide_size of {name}", expected=expected, found=f"{value:g}")
     truth = {"effect": name, "size": value, "unit": kind.unit, "what": kind.what}
     return {**UNTOUCHED, name: value}, truth

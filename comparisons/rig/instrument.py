@@ -54,44 +54,24 @@ _HALF_SCALE_V = 0.5 * (ADC_HIGH_V - ADC_LOW_V)
 
 @dataclass(frozen=True)
 class Instruments:
-    """The sensors of one record, and what they read, in the order of the file.
-
-    Parameters
-    ----------
-    case, run : RigCase, PlantRun
-        The plant and what it did.
-    settings : SensorSettings
-        The imperfections.
-    altered : Alteration
-        What is hidden in the sensors.
-    rng, wakes : numpy.random.Generator
-        Sources of all randomness; what is drawn for the wakes leaves every other number as it was.
-    rake_k : mapping of int to ndarray
-        Temperature of the transducers of each plane.
-    references : mapping of int to tuple of float
-        The ZOC reference of each plane: as it is, as tape and facility read it, in Pa.
-    near_stall : dict of str to float
-        The facility's reading.
-    values : dict of str to ndarray
-        Counts or kelvin, one array a channel.
-    channels : dict of str to dict
-        The table of each channel in ``test.toml``.
-    truth : dict of str to dict
-        What no reduction may know: each transducer's sensitivity and bias, operate readings, and
-        the reference as it is and as the tape reads it.
-    """
+    """The sensors of one record, and what they read, in the order of the file."""
 
     case: RigCase
     run: PlantRun
     settings: SensorSettings
-    altered: Alteration
+    altered: Alteration  # What is hidden in the sensors
     rng: np.random.Generator
+    # What is drawn for the wakes leaves every other number as it was.
     wakes: np.random.Generator
-    rake_k: Mapping[int, FloatArray]
+    rake_k: Mapping[int, FloatArray]  # Temperature of the transducers of each plane
+    # The ZOC reference of each plane: as it is, as tape and facility read it, in Pa.
     references: Mapping[int, tuple[float, float, float]]
-    near_stall: Mapping[str, float]
-    values: dict[str, FloatArray] = field(default_factory=dict)
+    near_stall: Mapping[str, float]  # The facility's reading
+    values: dict[str, FloatArray] = field(default_factory=dict)  # Counts or kelvin
+    # The table of each channel in ``test.toml``.
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # What no reduction may know: each transducer's sensitivity, bias and operate reading, and the
+    # reference as it is and as the tape reads it.
     truth: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def read_pair(self, plane: int, rake: str, immersion: str) -> None:
@@ -174,10 +154,8 @@ class Instruments:
         eddies = lag(white, time_constant_s=WAKE_TIME_S)
         shake = self.altered["flow_noise"] * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
         forward_flow = forward_pa >= aft_pa
-        return (
-            np.where(forward_flow, forward_pa, forward_pa + shake),
-            np.where(forward_flow, aft_pa + shake, aft_pa),
-        )
+        shaken = np.where(forward_flow, forward_pa, forward_pa + shake)
+        return shaken, np.where(forward_flow, aft_pa + shake, aft_pa)
 
     def _reading(self, volts: float) -> float:
         """Return the mean counts of a zero, calibrate or operate reading before the surge."""
@@ -187,11 +165,7 @@ class Instruments:
         return float(np.mean(counts_from_volts(samples, settings.bits)))
 
     def _pressure_counts(
-        self,
-        plane: int,
-        pressure_pa: FloatArray,
-        sensitivity_v_pa: float,
-        bias_v: float,
+        self, plane: int, pressure_pa: FloatArray, sensitivity_v_pa: float, bias_v: float
     ) -> FloatArray:
         """Return the converter's counts: tube, transducer, tape, anti-alias filter, converter."""
         settings, altered = self.settings, self.altered
@@ -199,9 +173,8 @@ class Instruments:
             pressure_pa = lag(pressure_pa, time_constant_s=altered["second_order_lag"])
             if altered["transport_delay"]:
                 rows = np.arange(pressure_pa.size, dtype=np.float64)
-                pressure_pa = np.interp(
-                    rows - altered["transport_delay"] * PLANT_RATE_HZ, rows, pressure_pa
-                )
+                late = rows - altered["transport_delay"] * PLANT_RATE_HZ
+                pressure_pa = np.interp(late, rows, pressure_pa)
         felt = tube(
             pressure_pa, frequency_hz=settings.tube_frequency_hz, damping=settings.tube_damping
         )
@@ -213,11 +186,8 @@ class Instruments:
             sensitivity = sensitivity * (1.0 + altered["sensitivity_drift"] * time_s)
             zero_v = zero_v + altered["bias_drift"] * time_s
         noise = settings.noise_percent / 100.0 * _HALF_SCALE_V
-        tape = (
-            zero_v
-            + sensitivity * (felt - self.references[plane][0])
-            + noise * self.rng.standard_normal(felt.size)
-        )
+        tape = zero_v + sensitivity * (felt - self.references[plane][0])
+        tape = tape + noise * self.rng.standard_normal(felt.size)
         volts = anti_alias(tape, corner_hz=settings.anti_alias_hz)[:: settings.step]
         return counts_from_volts(volts, settings.bits)
 
@@ -255,11 +225,6 @@ def instrument(
 
     The random numbers drawn do not depend on the settings' sizes, so that switching one
     imperfection off leaves the others as they were.
-
-    Parameters
-    ----------
-    case, run, settings, rng, altered
-        As in `Instruments`.
     """
     near_stall = _near_stall(run, settings, rng)
     references = {}

@@ -51,26 +51,8 @@ def run_plant(
 ) -> PlantRun:
     """Integrate the plant of a case from its near-stall equilibrium.
 
-    Parameters
-    ----------
-    case : RigCase
-        The plant.
-    n_rows : int
-        Number of output rows at `PLANT_RATE_HZ`.
-    substeps : int
-        Runge-Kutta steps in each row.
-    altered : Alteration
-        What is hidden in the plant; by default nothing.
-
-    Returns
-    -------
-    PlantRun
-        The signals.
-
-    Raises
-    ------
-    InputError
-        When an altered case has no equilibrium to start from, or does not stay finite.
+    The signals have `n_rows` at `PLANT_RATE_HZ`, each of so many Runge-Kutta steps. A case without
+    an equilibrium, or one that does not stay finite, is refused.
     """
     from comparisons.rig import plant_kernel
 
@@ -84,9 +66,8 @@ def run_plant(
             found=f"one that diverges after {np.argmax(bad) / PLANT_RATE_HZ:.3f} s",
             remedy="change its parameters by a few percent only",
         )
-    signals = {
-        name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(plant_kernel.OUTPUTS)
-    }
+    columns = np.ascontiguousarray(rows.T)
+    signals: dict[str, FloatArray] = dict(zip(plant_kernel.OUTPUTS, columns, strict=True))
     return signals | {"T31": _exit_temperature_k(case, signals)}
 
 
@@ -101,11 +82,8 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
     t2 = signals["T25"] + signals["psi"] * case.rotor_velocity_m_s**2 / (2.0 * CP_J_KG_K)
     blading = signals["P31"] + case.inertia_per_m * signals["dW25"]
     mean = signals["P25"] + case.internal_weight * (blading - signals["P25"])
-    stored = (
-        case.internal_volume_m3
-        / (GAMMA * GAS_CONSTANT_J_KG_K)
-        * np.gradient(mean, 1.0 / PLANT_RATE_HZ)
-    )
+    storage = case.internal_volume_m3 / (GAMMA * GAS_CONSTANT_J_KG_K)
+    stored = storage * np.gradient(mean, 1.0 / PLANT_RATE_HZ)
     flow = signals["W31"]
     left = (signals["W25"] - flow) * t2 - stored
     correction = left * flow**3 / (flow**4 + _MIXING_KG_S**4)
@@ -114,16 +92,17 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
 
 
 def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
-    """Size flow, orifices and supply so that the case starts at rest, just above stall.
+    """Return the numbers of the compiled loop, and the state at rest just above stall.
 
-    Nothing that can be hidden moves this point: it is cold, at full speed and unstalled.
+    Flow, orifices and supply are sized by that state. Nothing that can be hidden moves it: it is
+    cold, at full speed and unstalled.
     """
     from comparisons.rig import plant_kernel as kernel
 
-    u = case.rotor_velocity_m_s
+    u, t25, face_pa = case.rotor_velocity_m_s, case.supply_temperature_k, case.face_pressure_pa
     phi = case.stall_point(case.corrected_speed_frac)[0] * case.near_stall_phi_ratio
     # C_z = M sqrt(gamma R T / (1 + 0.2 M²)) solved for M.
-    speed2 = (phi * u) ** 2 / (GAMMA * GAS_CONSTANT_J_KG_K * case.supply_temperature_k)
+    speed2 = (phi * u) ** 2 / (GAMMA * GAS_CONSTANT_J_KG_K * t25)
     if not 0.0 < speed2 < 1.0 / 1.2:
         raise InputError(
             f"case {case.name}",
@@ -132,67 +111,39 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
         )
     mach = np.sqrt(speed2 / (1.0 - 0.2 * speed2))
     corrected = corrected_flow_kg_s(mach, case.inlet_area_m2)
-    theta = T_REF_K / case.supply_temperature_k
-    flow = float(corrected * case.face_pressure_pa / P_REF_PA * np.sqrt(theta))
-    loss = case.inlet_loss_frac * case.face_pressure_pa / flow**2
-    t25 = case.supply_temperature_k
-    c = _constants(case, altered, flow, loss)
-    psi_p = float(kernel.unstalled_psi_p(c, phi, t25))
+    flow = float(corrected * face_pa / P_REF_PA * np.sqrt(T_REF_K / t25))
+    loss = case.inlet_loss_frac * face_pa / flow**2
+    psi_p = float(case.unstalled_psi_p(np.asarray(phi), case.corrected_speed_frac))
     if psi_p <= 0.0:
         raise InputError(
             f"case {case.name}",
             expected="a pressure rise at the initial flow",
             found=f"ψ' = {psi_p:.3f} at φ = {phi:.3f}",
         )
-    psi = psi_p / case.unstalled_efficiency
-    head = u**2 / (2.0 * CP_J_KG_K)
-    p31 = case.face_pressure_pa * (1.0 + psi_p * head / t25) ** 3.5
-    t31 = t25 + psi * head
+    psi, head = psi_p / case.unstalled_efficiency, u**2 / (2.0 * CP_J_KG_K)
+    p31, t31 = face_pa * (1.0 + psi_p * head / t25) ** 3.5, t25 + psi * head
     p_ex = case.exhaust_pressure_frac * p31
-    throttle = flow / kernel.orifice_flow(1.0, p31, t31, p_ex, t31)[0]
-    exhaust = flow / kernel.orifice_flow(1.0, p_ex, t31, P_REF_PA, t31)[0]
-    start = {
-        "W": flow,
-        "psi_p": psi_p,
-        "psi": psi,
-        "P31": p31,
-        "T31": t31,
-        "P_in": case.face_pressure_pa + loss * flow**2,
-        "T_in": t25,
-        "T_face": t25,
-        "P_ex": p_ex,
-        "T_ex": t31,
-        "blend": 0.0,
-        "cells": 0.0,
-        "T_coil": t25,
-        "throttle": 1.0,
-    }
-    state = np.array([start[name] for name in kernel.STATES])
-    return c._replace(throttle=throttle, exhaust=exhaust), state
-
-
-def _constants(case: RigCase, altered: Alteration, flow: float, loss: float) -> Any:
-    """Gather the numbers of the compiled loop, floats or tuples of floats; orifices unsized."""
-    from comparisons.rig import plant_kernel as kernel
-
-    u = case.rotor_velocity_m_s
-    numbers = {name: getattr(case, name) for name in kernel.CASE_FIELDS}
+    start = {"W": flow, "psi_p": psi_p, "psi": psi, "P31": p31, "P_ex": p_ex, "throttle": 1.0}
+    start["P_in"] = face_pa + loss * flow**2
+    start |= dict.fromkeys(("T31", "T_ex"), t31) | dict.fromkeys(("T_in", "T_face", "T_coil"), t25)
+    state = np.array([start.get(name, 0.0) for name in kernel.STATES])
+    numbers: dict[str, Any] = {name: getattr(case, name) for name in kernel.CASE_FIELDS}
     numbers |= altered
     numbers |= {
         "reverse_loss": case.reverse_loss * altered["reverse_flow_branch"],
         "loss": loss,
         "supply_flow": flow,
-        "supply_pressure": case.face_pressure_pa + loss * flow**2,
+        "supply_pressure": start["P_in"],
         "recirculation_heat": case.recirculation_work * u**2 / (2.0 * CP_J_KG_K),
-        "throttle": 1.0,
-        "exhaust": 1.0,
+        "throttle": flow / kernel.orifice_flow(1.0, p31, t31, p_ex, t31)[0],
+        "exhaust": flow / kernel.orifice_flow(1.0, p_ex, t31, P_REF_PA, t31)[0],
         "open_ratio": case.open_reference * case.open_ratio,
         "sweep_rate": 2.0 * pi / case.throttle_sweep_s,
         "rotor_velocity": u,
     }
-    return kernel.Constants(
-        **{
-            name: tuple(map(float, value)) if isinstance(value, tuple) else float(value)
-            for name, value in numbers.items()
-        }
-    )
+    # The compiled loop takes floats and tuples of floats.
+    constants = {
+        name: tuple(map(float, value)) if isinstance(value, tuple) else float(value)
+        for name, value in numbers.items()
+    }
+    return kernel.Constants(**constants), state

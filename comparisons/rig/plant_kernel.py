@@ -112,14 +112,14 @@ def orifice_flow(
 def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the present corrected speed (a table of two points)."""
     speed = c.corrected_speed_frac * sqrt(c.supply_temperature_k / face_temperature)
-    x = (speed - c.stall_speeds[0]) / (c.stall_speeds[1] - c.stall_speeds[0])
-    return c.stall_phis[0] + x * (c.stall_phis[1] - c.stall_phis[0]), c.stall_psi_ps[0] + x * (
-        c.stall_psi_ps[1] - c.stall_psi_ps[0]
-    )
+    low, high = c.stall_speeds
+    x = (speed - low) / (high - low)
+    (phi_low, phi_high), (psi_low, psi_high) = c.stall_phis, c.stall_psi_ps
+    return phi_low + x * (phi_high - phi_low), psi_low + x * (psi_high - psi_low)
 
 
 @njit(cache=True)
-def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
+def _unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
     phi_s, psi_s = _stall_point(c, face_temperature)
     value: float = psi_s - c.unstalled_droop * max(phi - phi_s, 0.0) ** 2
@@ -134,7 +134,7 @@ def _targets(
 
     What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
     """
-    free = unstalled_psi_p(c, phi, face_temperature)
+    free = _unstalled_psi_p(c, phi, face_temperature)
     scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_droop
     extra = (
         c.characteristic_shape * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
@@ -142,18 +142,12 @@ def _targets(
         + c.pressure_cubic * phi**3
         + c.pressure_kink * max(phi - c.kink_phi, 0.0)
     )
-    p = min(
-        (c.pressure_terms[0] + c.pressure_terms[1] * phi + c.pressure_terms[2] * phi * phi + extra)
-        * scale,
-        free,
-    )
-    w = (
-        c.work_intercept
-        + c.work_slopes[0] * min(phi, c.work_breaks[0])
-        + c.work_slopes[1]
-        * min(max(phi - c.work_breaks[0], 0.0), c.work_breaks[1] - c.work_breaks[0])
-        + c.work_slopes[2] * max(phi - c.work_breaks[1], 0.0)
-    )
+    level, slope, bow = c.pressure_terms
+    p = min((level + slope * phi + bow * phi * phi + extra) * scale, free)
+    first, second = c.work_breaks
+    w = c.work_intercept + c.work_slopes[0] * min(phi, first)
+    w += c.work_slopes[1] * min(max(phi - first, 0.0), second - first)
+    w += c.work_slopes[2] * max(phi - second, 0.0)
     kept = 1.0 - c.facility_heating * (1.0 - exp(-time / HEAT_SOAK_S))
     return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.unstalled_efficiency
 
@@ -169,15 +163,12 @@ def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     p_free = s[P_IN] - c.loss * s[W] * abs(s[W])
     psi_p = s[PSI_P]
     if s[W] < 0.0:
-        psi_p += (
-            c.reverse_loss
-            * _phi_of(s[W], p_free, s[T_FACE], c.inlet_area_m2, c.rotor_velocity) ** 2
-        )
+        phi = _phi_of(s[W], p_free, s[T_FACE], c.inlet_area_m2, c.rotor_velocity)
+        psi_p += c.reverse_loss * phi**2
     head = c.rotor_velocity**2 / (2.0 * CP_J_KG_K * s[T_FACE])
     ratio = max(1.0 + psi_p * head, 0.05) ** 3.5
-    p25 = (c.inertia_per_m * p_free + c.inlet_inertia_per_m * s[P31]) / (
-        c.inertia_per_m + c.inlet_inertia_per_m * ratio
-    )
+    both = c.inertia_per_m + c.inlet_inertia_per_m * ratio
+    p25 = (c.inertia_per_m * p_free + c.inlet_inertia_per_m * s[P31]) / both
     return (p25 * ratio - s[P31]) / c.inertia_per_m, p25, psi_p
 
 
@@ -189,34 +180,20 @@ def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> No
     as much between face and inlet volume.
     """
     forward, backward = max(s[W], 0.0), max(-s[W], 0.0)
-    stirred = (
-        s[BLEND]
-        * c.recirculation_frac
-        * p25
-        / (_R * s[T_FACE])
-        * c.rotor_velocity
-        * c.inlet_area_m2
-    )
+    stirred = s[BLEND] * c.recirculation_frac * p25 / (_R * s[T_FACE])
+    stirred = stirred * c.rotor_velocity * c.inlet_area_m2
     exchange = c.recirculation_exchange * stirred
     supply = max(c.supply_flow - c.supply_pump_kg_s_pa * (s[P_IN] - c.supply_pressure), 0.0)
     t_supply = c.supply_temperature_k + c.coil_effectiveness * (s[T_COIL] - c.supply_temperature_k)
-    enthalpy = (
-        supply * t_supply
-        - forward * s[T_IN]
-        + backward * s[T_FACE]
-        + exchange * (s[T_FACE] - s[T_IN])
-    )
+    enthalpy = supply * t_supply - forward * s[T_IN] + backward * s[T_FACE]
+    enthalpy += exchange * (s[T_FACE] - s[T_IN])
     d[P_IN] = _G * _R / c.inlet_volume_m3 * enthalpy
     mass = s[P_IN] * c.inlet_volume_m3 / (_R * s[T_IN])
     d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
     t_reversed = s[T_FACE] + c.reverse_heat_frac * (t_back - s[T_FACE])
-    heat = (
-        forward * (s[T_IN] - s[T_FACE])
-        + backward * (t_reversed - s[T_FACE])
-        + stirred * c.recirculation_heat
-        - exchange * (s[T_FACE] - s[T_IN])
-        + c.face_volume_m3 / CP_J_KG_K * d[P_IN]
-    )
+    heat = forward * (s[T_IN] - s[T_FACE]) + backward * (t_reversed - s[T_FACE])
+    heat = heat + stirred * c.recirculation_heat - exchange * (s[T_FACE] - s[T_IN])
+    heat += c.face_volume_m3 / CP_J_KG_K * d[P_IN]
     d[T_FACE] = heat * _R * s[T_FACE] / (s[P_IN] * c.face_volume_m3)
     d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag_s
 
@@ -311,24 +288,19 @@ def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
 @njit(cache=True)
 def integrate(c: Any, start: FloatArray, n_rows: int, row_s: float, substeps: int) -> FloatArray:
     """Integrate by classical Runge-Kutta with a fixed step; one output row each `row_s`."""
-    rows = np.empty((n_rows, 21))
-    s, trial = start.copy(), np.empty(14)
-    k1, k2, k3, k4 = np.empty(14), np.empty(14), np.empty(14), np.empty(14)
-    scratch = np.empty(21)
-    latch = np.zeros(6)
+    rows, scratch = np.empty((n_rows, 21)), np.empty(21)
+    s, trial, k, latch = start.copy(), np.empty(14), np.empty((4, 14)), np.zeros(6)
     latch[ARMED] = 1.0
     latch[LAST_PHI] = np.inf
     h = row_s / substeps
     for i in range(n_rows):
         for j in range(substeps):
             time = i * row_s + j * h
-            _rates(c, time, s, latch, k1, rows[i] if j == 0 else scratch)
-            _switch(c, rows[i, 0] if j == 0 else scratch[0], s[T_FACE], latch)
-            trial[:] = s + 0.5 * h * k1
-            _rates(c, time + 0.5 * h, trial, latch, k2, scratch)
-            trial[:] = s + 0.5 * h * k2
-            _rates(c, time + 0.5 * h, trial, latch, k3, scratch)
-            trial[:] = s + h * k3
-            _rates(c, time + h, trial, latch, k4, scratch)
-            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            out = rows[i] if j == 0 else scratch
+            _rates(c, time, s, latch, k[0], out)
+            _switch(c, out[0], s[T_FACE], latch)
+            for n, part in ((1, 0.5), (2, 0.5), (3, 1.0)):
+                trial[:] = s + part * h * k[n - 1]
+                _rates(c, time + part * h, trial, latch, k[n], scratch)
+            s += h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi, tan
+from typing import Any
 
 import numpy as np
 from scipy.signal import bilinear, butter, lfilter, lfilter_zi, sosfilt, sosfilt_zi
@@ -20,6 +21,13 @@ ADC_HIGH_V = 5.0
 _OIL_K = 310.93
 _WATER_K = 305.0
 _WATER_LIMIT_K = 316.48
+# What is zero in a sensor that hides nothing.
+_OFF = (
+    "noise_percent", "thermocouple_lag_s", "thermocouple_noise_k", "cells", "hub_tip",
+    "probe_offset", "sensitivity_scatter", "bias_scatter_v", "sensitivity_per_k",
+    "reading_noise_percent", "reference_error", "facility_error", "facility_temperature_error_k",
+    "leak_lag_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -107,25 +115,13 @@ class SensorSettings:
     @classmethod
     def ideal(cls) -> SensorSettings:
         """Return sensors that hide nothing: reduction of their record must give the truth."""
+        nothing: dict[str, Any] = dict.fromkeys(_OFF, 0.0)
         return cls(
-            noise_percent=0.0,
             bits=None,
             tube_frequency_hz=None,
             anti_alias_hz=None,
-            thermocouple_lag_s=0.0,
-            thermocouple_noise_k=0.0,
-            cells=0.0,
-            hub_tip=0.0,
-            probe_offset=0.0,
-            sensitivity_scatter=0.0,
-            bias_scatter_v=0.0,
-            sensitivity_per_k=0.0,
-            reading_noise_percent=0.0,
-            reference_error=0.0,
-            facility_error=0.0,
-            facility_temperature_error_k=0.0,
-            leak_lag_s=0.0,
             acquisition_limits=False,
+            **nothing,
         )
 
 
@@ -138,18 +134,8 @@ def tube(
 ) -> FloatArray:
     """Return the pressure behind a tube: a second-order response that starts at rest.
 
-    Equation: p̈ + 2ζω ṗ + ω² p = ω² p_gas, by the bilinear map with its warping undone at ω.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n,)
-        Pressure at the tube's mouth.
-    frequency_hz : float or None
-        Natural frequency; None returns the signal.
-    damping : float
-        Damping ratio ζ.
-    rate_hz : float
-        Sample rate.
+    Equation: p̈ + 2ζω ṗ + ω² p = ω² p_gas, by the bilinear map with its warping undone at ω. Without
+    a frequency it is the signal.
     """
     if frequency_hz is None:
         return signal
@@ -162,17 +148,7 @@ def tube(
 def lag(
     signal: FloatArray, *, time_constant_s: float, rate_hz: float = PLANT_RATE_HZ
 ) -> FloatArray:
-    """Return a signal behind a first-order lag that starts at rest.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n,)
-        The signal, taken as straight lines between samples.
-    time_constant_s : float
-        Time constant; 0 returns the signal.
-    rate_hz : float
-        Sample rate.
-    """
+    """Return a signal, straight lines between samples, behind a lag that starts at rest."""
     if time_constant_s == 0.0:
         return signal
     x = 1.0 / (rate_hz * time_constant_s)
@@ -188,17 +164,7 @@ def lag(
 def anti_alias(
     signal: FloatArray, *, corner_hz: float | None, rate_hz: float = PLANT_RATE_HZ
 ) -> FloatArray:
-    """Return a signal behind a causal fourth-order Butterworth low-pass that starts at rest.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n,)
-        The signal.
-    corner_hz : float or None
-        Corner frequency; None returns the signal.
-    rate_hz : float
-        Sample rate.
-    """
+    """Return a signal behind a causal fourth-order Butterworth low-pass that starts at rest."""
     if corner_hz is None:
         return signal
     sos = butter(4, corner_hz, fs=rate_hz, output="sos")
@@ -213,18 +179,9 @@ def rake_temperature_k(
     *,
     rate_hz: float = PLANT_RATE_HZ,
 ) -> FloatArray:
-    """Return the temperature of the transducers in a cooled rake, in K.
+    """Return the temperature of the transducers in a cooled rake from that of the gas.
 
-    Parameters
-    ----------
-    plane : int
-        25 (oil at 100 °F) or 31 (water, below 110 °F).
-    gas_temperature_k : ndarray of shape (n,)
-        Gas temperature at the plane.
-    settings : SensorSettings
-        Coupling and lag.
-    rate_hz : float
-        Sample rate.
+    At plane 25 oil keeps them at 100 °F, at plane 31 water below 110 °F.
     """
     change = settings.rake_coupling * (gas_temperature_k - gas_temperature_k[0])
     change = lag(change, time_constant_s=settings.rake_lag_s, rate_hz=rate_hz)
@@ -234,15 +191,7 @@ def rake_temperature_k(
 
 
 def counts_from_volts(volts: FloatArray, bits: int | None) -> FloatArray:
-    """Return converter codes of voltages, 0 … 2^bits − 1 as floats.
-
-    Parameters
-    ----------
-    volts : ndarray
-        Voltages.
-    bits : int or None
-        Resolution; None returns exact, unclipped fractions of a 12-bit code.
-    """
+    """Return converter codes, 0 … 2^bits − 1 as floats; without bits exact, of a 12-bit code."""
     scale = 2.0 ** (ADC_BITS if bits is None else bits) / (ADC_HIGH_V - ADC_LOW_V)
     codes = (volts - ADC_LOW_V) * scale
     if bits is None:

@@ -99,11 +99,8 @@ def simulate(
         )
     settings = SensorSettings() if sensors is None else sensors
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
-        raise InputError(
-            "duration_s",
-            expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
-            found=f"{duration_s!r}",
-        )
+        possible = f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds"
+        raise InputError("duration_s", expected=possible, found=f"{duration_s!r}")
     altered, hidden = hide_effect(hide, hide_size)
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
@@ -169,6 +166,8 @@ def _test_table(chain: Instruments) -> dict[str, Any]:
     case, settings, factor = chain.case, chain.settings, chain.altered["flow_inertia"]
     # All digits of the product would give the factor away.
     inertia = case.inertia_per_m if factor == 1.0 else float(f"{case.inertia_per_m * factor:.5g}")
+    bits = ADC_BITS if settings.bits is None else settings.bits
+    threshold = "none" if case.segmentation is None else case.segmentation
     table: dict[str, Any] = {
         "test": {
             "name": f"simulated rig, case {case.name}",
@@ -183,19 +182,10 @@ def _test_table(chain: Instruments) -> dict[str, Any]:
             "gamma": GAMMA,
             "gas_constant_J_kg_K": GAS_CONSTANT_J_KG_K,
         },
-        "planes": {
-            "25": {"area_m2": case.inlet_area_m2},
-            "31": {"area_m2": case.exit_area_m2},
-        },
-        "adc": {
-            "bits": ADC_BITS if settings.bits is None else settings.bits,
-            "low_V": ADC_LOW_V,
-            "high_V": ADC_HIGH_V,
-        },
+        "planes": {"25": {"area_m2": case.inlet_area_m2}, "31": {"area_m2": case.exit_area_m2}},
+        "adc": {"bits": bits, "low_V": ADC_LOW_V, "high_V": ADC_HIGH_V},
         "near_stall": dict(chain.near_stall),
-        "segmentation": {
-            "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation
-        },
+        "segmentation": {"threshold_lbm_s": threshold},
     }
     if case.window_s is not None:
         table["window"] = {"from_s": case.window_s[0], "to_s": case.window_s[1]}
@@ -208,8 +198,7 @@ def _test_table(chain: Instruments) -> dict[str, Any]:
 def _truth_table(chain: Instruments, seed: int, truth: Record) -> dict[str, Any]:
     """Return the parameters behind a run; everything that must not reach a reduction."""
     case = chain.case
-    stalled = (truth["in_stall"] > 0.0).astype(np.int64)
-    turns = np.diff(stalled, prepend=stalled[0])
+    turns = np.diff((truth["in_stall"] > 0.0).astype(np.int64), prepend=0)
     phi = np.linspace(-0.05, case.recovery_phi, 81)
     bump = np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
     psi_p = case.in_stall_psi_p(phi) + chain.altered["characteristic_shape"] * bump

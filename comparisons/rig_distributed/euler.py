@@ -264,14 +264,13 @@ def _rates(
         d_cells[1, i] += push / volume + rise[i] / c.cell_m
         d_cells[1, i] -= path[2, i] * cells[1, i] * abs(prim[1, i])
         d_cells[2, i] += power[i] / volume
-    out[0], out[1], out[2], out[4] = phi, psi_p, own[PSI_P], own[PSI]
-    out[6], out[7], out[8] = own[CELL], memory[STALLED], own[THROTTLE]
-    out[9], out[10], out[11] = prim[3, front], p25, t25
-    out[12], out[13], out[14] = prim[3, back], p31, t31
-    out[15], out[16] = path[0, 0] * flux[0, 0], path[0, n] * flux[0, n]
-    out[17], out[18] = np.sum(cells[0] * path[1, :n]), np.sum(cells[2] * path[1, :n])
-    out[20] = prim[1, back] / c.rotor_velocity_m_s
-    out[19] = np.sum(power) + path[0, 0] * flux[2, 0] - path[0, n] * flux[2, n]
+    heat = np.sum(power) + path[0, 0] * flux[2, 0] - path[0, n] * flux[2, n]
+    row = (phi, psi_p, own[PSI_P], out[3], own[PSI], out[5], own[CELL], memory[STALLED],
+           own[THROTTLE], prim[3, front], p25, t25, prim[3, back], p31, t31,
+           path[0, 0] * flux[0, 0], path[0, n] * flux[0, n], np.sum(cells[0] * path[1, :n]),
+           np.sum(cells[2] * path[1, :n]), heat, prim[1, back] / c.rotor_velocity_m_s)  # fmt: skip
+    for i in range(len(row)):
+        out[i] = row[i]
 
 
 @njit(cache=True)

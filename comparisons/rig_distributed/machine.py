@@ -30,7 +30,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from importlib.resources import files
-from math import exp, log, pi
+from math import exp, log
 
 import numpy as np
 
@@ -146,11 +146,6 @@ class Machine:
     def rotation_per_s(self) -> float:
         """Angular velocity of the rotor."""
         return self.rotor_velocity_m_s / self.mean_radius_m
-
-    @property
-    def cell_hz(self) -> float:
-        """Frequency of the cell in the frame of the rakes."""
-        return self.cell_turn * self.rotation_per_s / (2.0 * pi)
 
     def temperature_rise_k(self, psi: float) -> float:
         """Return the rise of total temperature that a work coefficient makes."""

@@ -30,24 +30,13 @@ PlantRun: TypeAlias = Mapping[str, FloatArray]
 
 @dataclass(frozen=True)
 class GasPath:
-    """The gas path in cells.
+    """The gas path in cells."""
 
-    Parameters
-    ----------
-    cell_m : float
-        Length of a cell.
-    n_inlet, n_compressor : int
-        Cells in front of the compressor, the last of which is plane 25, and within.
-    areas_m2 : ndarray of shape (n + 1,)
-        Area at the faces.
-    friction_per_m : ndarray of shape (n,)
-        Share of ρ u² that walls and the screens of the inlet take off, a metre.
-    """
-
-    cell_m: float
-    n_inlet: int
+    cell_m: float  # Length of a cell
+    n_inlet: int  # Cells in front of the compressor, the last of which is plane 25
     n_compressor: int
-    areas_m2: FloatArray
+    areas_m2: FloatArray  # At the n + 1 faces
+    # Share of ρ u² that walls and the screens of the inlet take off each cell, a metre.
     friction_per_m: FloatArray
 
     @property
@@ -58,9 +47,8 @@ class GasPath:
     @property
     def planes(self) -> tuple[int, int]:
         """Cells of planes 25 and 31."""
-        return self.n_inlet - 1, self.n_inlet + self.n_compressor + round(
-            0.5 * _EXIT_M / self.cell_m
-        )
+        behind = round(0.5 * _EXIT_M / self.cell_m)
+        return self.n_inlet - 1, self.n_inlet + self.n_compressor + behind
 
     @property
     def between_planes(self) -> tuple[float, float]:
@@ -74,12 +62,9 @@ class GasPath:
     @property
     def table(self) -> FloatArray:
         """What the compiled loop takes: areas of the faces, volumes and friction of the cells."""
-        n = self.areas_m2.size
-        rows = np.zeros((3, n))
-        rows[0] = self.areas_m2
-        rows[1, : n - 1] = self.volumes_m3
-        rows[2, : n - 1] = self.friction_per_m
-        return rows
+        # Of the faces there is one more than of the cells.
+        cells = (np.append(values, 0.0) for values in (self.volumes_m3, self.friction_per_m))
+        return np.stack([self.areas_m2, *cells])
 
 
 def lay_out(machine: Machine, cell_m: float = CELL_M) -> GasPath:
@@ -89,15 +74,14 @@ def lay_out(machine: Machine, cell_m: float = CELL_M) -> GasPath:
         for length in (machine.inlet_m, machine.compressor_m, machine.cone_m, machine.plenum_m)
     )
     small, large = np.sqrt([machine.exit_area_m2, machine.plenum_area_m2])
-    areas = np.concatenate(
-        [
-            np.full(inlet, machine.inlet_area_m2),
-            np.linspace(machine.inlet_area_m2, machine.exit_area_m2, compressor + 1),
-            np.full(round(_EXIT_M / cell_m), machine.exit_area_m2),
-            np.linspace(small, large, cone + 1)[1:] ** 2,
-            np.full(plenum, machine.plenum_area_m2),
-        ]
+    parts = (
+        np.full(inlet, machine.inlet_area_m2),
+        np.linspace(machine.inlet_area_m2, machine.exit_area_m2, compressor + 1),
+        np.full(round(_EXIT_M / cell_m), machine.exit_area_m2),
+        np.linspace(small, large, cone + 1)[1:] ** 2,
+        np.full(plenum, machine.plenum_area_m2),
     )
+    areas = np.concatenate(parts)
     diameters_m = np.sqrt(2.0 / np.pi * (areas[1:] + areas[:-1]))
     friction = 0.5 * machine.friction / diameters_m
     friction[:inlet] += 0.5 * machine.inlet_loss / (inlet * cell_m)
@@ -173,21 +157,10 @@ def constants(machine: Machine, path: GasPath, throttle_m2: float, exit_k: float
 
 
 def run_plant(machine: Machine, *, n_rows: int, cell_m: float = CELL_M) -> PlantRun:
-    """Let the flow settle, then run the machine through its surge.
+    """Let the flow settle, then run the machine through its surge, for rows at `PLANT_HZ`.
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    n_rows : int
-        Rows at `PLANT_HZ`.
-    cell_m : float
-        Length of a cell; the time step shrinks with it.
-
-    Raises
-    ------
-    InputError
-        When the machine has no steady flow to start from, or its flow does not stay finite.
+    The time step shrinks with the cells. A machine without a steady flow to start from, or whose
+    flow does not stay finite, is refused.
     """
     from comparisons.rig_distributed.euler import OUTPUTS, integrate
 
@@ -205,4 +178,4 @@ def run_plant(machine: Machine, *, n_rows: int, cell_m: float = CELL_M) -> Plant
             expected="a flow that stays finite",
             found=f"one that does not after {np.argmax(~np.isfinite(rows[:, 0])) * step_s:.3f} s",
         )
-    return {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(OUTPUTS)}
+    return dict(zip(OUTPUTS, np.ascontiguousarray(rows.T), strict=True))

@@ -54,20 +54,12 @@ _CALIBRATE_SHARE = 0.6
 
 @dataclass(frozen=True)
 class Channels:
-    """The channels of one record in the order of the file.
+    """The channels of one record in the order of the file."""
 
-    Parameters
-    ----------
-    values : dict of str to ndarray
-        Codes or kelvin.
-    described : dict of str to dict
-        Table of each channel in ``test.toml``.
-    truth : dict of str to dict
-        Sensitivity in V/Pa and zero in V of each transducer.
-    """
-
-    values: dict[str, FloatArray] = field(default_factory=dict)
+    values: dict[str, FloatArray] = field(default_factory=dict)  # Codes or kelvin
+    # Table of each channel in ``test.toml``.
     described: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # Sensitivity in V/Pa and zero in V of each transducer.
     truth: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -77,31 +69,41 @@ def read_rakes(
     """Read two rakes at each plane, with a pair of probes at hub and tip and a thermocouple."""
     out = Channels()
     for plane in (25, 31):
-        pairs = {}
+        laws = {}
         for immersion in ("tip", "hub"):
             slope = float(np.round(rng.uniform(1.04, 1.12), 3))
-            offset = float(np.round(rng.uniform(0.006, 0.015), 4))
-            for rake in ("A", "B"):
-                mach, total_pa = _local_flow(machine, run, plane, rake, immersion)
-                holes = hole_pressures_pa(
-                    mach, total_pa, slope=slope, offset=offset, knee=fitted.probe_knee
-                )
-                place = {"plane": plane, "rake": rake, "immersion": immersion}
-                law = {"probe_slope": slope, "probe_offset": offset}
-                pairs[rake, immersion] = place, law, holes
-        reference_pa = _REFERENCE_STEP_PA * float(
-            np.round(run[f"P{plane}"][0] / _REFERENCE_STEP_PA)
-        )
-        felt = [hole for _, _, holes in pairs.values() for hole in holes]
-        largest_pa = _HEADROOM * max(float(np.max(np.abs(p - reference_pa))) for p in felt)
+            laws[immersion] = slope, float(np.round(rng.uniform(0.006, 0.015), 4))
+        holes = {
+            (rake, immersion): hole_pressures_pa(
+                *_local_flow(machine, run, plane, rake, immersion),
+                slope=slope,
+                offset=offset,
+                knee=fitted.probe_knee,
+            )
+            for rake in _RAKES
+            for immersion, (slope, offset) in laws.items()
+        }
+        before_pa = run[f"P{plane}"][0]
+        reference_pa = _REFERENCE_STEP_PA * float(np.round(before_pa / _REFERENCE_STEP_PA))
+        off_pa = (float(np.max(np.abs(p - reference_pa))) for both in holes.values() for p in both)
+        largest_pa = _HEADROOM * max(off_pa)
         span_pa = next((span for span in SPANS_PA if span >= largest_pa), largest_pa)
-        for rake in ("A", "B"):
-            for immersion in ("tip", "hub"):
-                place, law, holes = pairs[rake, immersion]
-                for facing, pressure_pa in zip(("forward", "aft"), holes, strict=True):
+        for rake in _RAKES:
+            for immersion, (slope, offset) in laws.items():
+                pressures = zip(("forward", "aft"), holes[rake, immersion], strict=True)
+                for facing, pressure_pa in pressures:
+                    table = {
+                        "kind": "pressure",
+                        "unit": "count",
+                        "plane": plane,
+                        "rake": rake,
+                        "immersion": immersion,
+                        "facing": facing,
+                        "probe_slope": slope,
+                        "probe_offset": offset,
+                        "zoc_reference_Pa": reference_pa,
+                    }
                     name = f"P{plane}_{rake}_{immersion}_{facing}"
-                    table = {"kind": "pressure", "unit": "count", **place, "facing": facing, **law}
-                    table["zoc_reference_Pa"] = reference_pa
                     _read_pressure(name, pressure_pa, span_pa, table, fitted, rng, out)
             name = f"T{plane}_{rake}"
             out.values[name] = thermocouple(run[f"T{plane}"], fitted, rng)

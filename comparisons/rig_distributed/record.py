@@ -82,11 +82,8 @@ def simulate(
         When the duration is unusable, or the machine has no flow that stays finite.
     """
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
-        raise InputError(
-            "duration_s",
-            expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
-            found=f"{duration_s!r}",
-        )
+        possible = f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds"
+        raise InputError("duration_s", expected=possible, found=f"{duration_s!r}")
     machine = machine if machine is not None else Machine()
     fitted = instruments if instruments is not None else Instruments()
     n_rows = round(duration_s * fitted.rate_hz) * round(PLANT_HZ / fitted.rate_hz) + 1
@@ -206,11 +203,7 @@ def _description(
             "25": {"area_m2": machine.inlet_area_m2},
             "31": {"area_m2": machine.exit_area_m2},
         },
-        "adc": {
-            "bits": fitted.bits,
-            "low_V": -fitted.half_scale_v,
-            "high_V": fitted.half_scale_v,
-        },
+        "adc": {"bits": fitted.bits, "low_V": -fitted.half_scale_v, "high_V": fitted.half_scale_v},
         "near_stall": dict(reading),
         "channels": channels.described,
     }

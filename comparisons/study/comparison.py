@@ -264,22 +264,11 @@ def compare_scores(
 def jackknife(
     values: FloatArray, record: IntArray, target: float | None = None
 ) -> tuple[float, float]:
-    """Return a mean and its standard error over records, each of which is left out once.
+    """Return the mean of values (n,) and its standard error over records, each left out once.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,) or (n, 2)
-        Values; with a target two columns.
-    record : ndarray of int, shape (n,)
-        Number of the record of each row.
-    target : float, optional
-        With it: how much further the mean of the first column lies from the target than that of
-        the second.
-
-    Returns
-    -------
-    mean, stderr : float
-        The error is NaN with one record, both are without a value.
+    With a target the values have two columns, and it is how much further the mean of the first lies
+    from the target than that of the second. The error is NaN with one record, both are without a
+    value.
     """
     if not values.size:
         return math.nan, math.nan

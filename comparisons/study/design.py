@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,21 +19,11 @@ CELLS_A_TASK = 24
 
 @dataclass(frozen=True)
 class Point:
-    """One record, how it is reduced, and how the fits are set.
+    """One record, how it is reduced, and how the fits are set."""
 
-    Parameters
-    ----------
-    source : str
-        Where the record comes from.
-    seed : int
-        Of the record.
-    settings : tuple of tuple of str and value
-        Every setting that was given, by dotted name.
-    """
-
-    source: str
-    seed: int
-    settings: tuple[tuple[str, Scalar], ...]
+    source: str  # Where the record comes from
+    seed: int  # Of the record
+    settings: tuple[tuple[str, Scalar], ...]  # Every one that was given, by dotted name
 
     def table(self, name: str) -> dict[str, Scalar]:
         """Return the settings of one table, by their names within it."""
@@ -63,17 +53,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Cell:
-    """One fit.
-
-    Parameters
-    ----------
-    number : int
-        Position in the study.
-    point : Point
-        What is fitted.
-    method : Method
-        The estimator.
-    """
+    """One fit: its position in the study, what is fitted, and the estimator."""
 
     number: int
     point: Point
@@ -93,56 +73,37 @@ def _key(value: object) -> str:
 
 
 def cells_of(spec: StudySpec) -> list[Cell]:
-    """Return the cells of a study, always in the same order.
-
-    Parameters
-    ----------
-    spec : StudySpec
-        The study.
-    """
+    """Return the cells of a study, always in the same order."""
     both = itertools.product(points_of(spec), spec.method)
     return [Cell(number, point, method) for number, (point, method) in enumerate(both)]
 
 
 def points_of(spec: StudySpec) -> list[Point]:
-    """Return the points of a study, of a random design each once; records vary slowest.
-
-    Parameters
-    ----------
-    spec : StudySpec
-        The study.
-    """
+    """Return the points of a study, of a random design each once; records vary slowest."""
     settings = spec.settings
     if spec.design is None:
         values = [v for v in settings.values() if not isinstance(v, Range)]
-        drawn = [tuple(zip(settings, v, strict=True)) for v in itertools.product(*values)]
+        drawn = list(itertools.product(*values))
     else:
         rng = np.random.default_rng(spec.design.seed)
-        drawn = [_drawn(settings, rng) for _ in range(spec.design.random)]
+        drawn = [
+            tuple(
+                v.at(float(rng.random())) if isinstance(v, Range) else v[int(rng.integers(len(v)))]
+                for v in settings.values()
+            )
+            for _ in range(spec.design.random)
+        ]
     points = [
-        Point(spec.source, seed, point) for point in dict.fromkeys(drawn) for seed in spec.seeds
+        Point(spec.source, seed, tuple(zip(settings, values, strict=True)))
+        for values in dict.fromkeys(drawn)
+        for seed in spec.seeds
     ]
     order = {record: i for i, record in enumerate(dict.fromkeys(p.record for p in points))}
     return sorted(points, key=lambda point: order[point.record])
 
 
-def _drawn(
-    settings: Mapping[str, tuple[Scalar, ...] | Range], rng: np.random.Generator
-) -> tuple[tuple[str, Scalar], ...]:
-    return tuple(
-        (name, v.at(float(rng.random())) if isinstance(v, Range) else v[int(rng.integers(len(v)))])
-        for name, v in settings.items()
-    )
-
-
 def tasks_of(cells: Sequence[Cell]) -> list[list[Cell]]:
-    """Return the cells in tasks, each of one record and those of one reduction side by side.
-
-    Parameters
-    ----------
-    cells : sequence of Cell
-        What is to be done.
-    """
+    """Return cells in tasks, each of one record and those of one reduction side by side."""
     by_record: dict[str, list[Cell]] = {}
     for cell in cells:
         by_record.setdefault(cell.point.record, []).append(cell)

@@ -12,7 +12,6 @@ import importlib
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
-from importlib.util import find_spec
 from pathlib import Path
 
 from surge_core.errors import InputError
@@ -51,5 +50,4 @@ def draw_of(name: str) -> Callable[[int, Path], None]:
 
 @cache
 def _rigs() -> dict[str, str]:
-    own = {name: path for name, path in _OWN.items() if find_spec(path.partition(":")[0])}
-    return own | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    return _OWN | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}

@@ -25,51 +25,27 @@ from surge_core.types import FloatArray
 if TYPE_CHECKING:
     from classic_ml.description import TestDescription
     from classic_ml.records import Record
+    from comparisons.rig.coefficient_tests import CoefficientTest
 
 FIT_DEFAULTS: dict[str, Scalar] = {"degree": 2, "hold": "first"}
 
 
 @dataclass(frozen=True)
 class Made:
-    """A record before its reduction, and its truth.
+    """A record before its reduction, and its truth."""
 
-    Parameters
-    ----------
-    series : tuple of CoefficientSeries
-        Where it is made or read as coefficients.
-    raw : tuple of Record and TestDescription, or None
-        Where it is counts.
-    tau_s : float
-        True time constant in s; NaN where it is not known.
-    curve : callable, optional
-        True characteristic, ψ' at φ of shape (n,), where it is known.
-    known_phi : tuple of float
-        Where it is known.
-    effects : frozenset of str
-        Effects beyond lag and parabola that the machine truly has: no false name.
-    """
-
-    series: tuple[CoefficientSeries, ...]
-    raw: tuple[Record, TestDescription] | None
-    tau_s: float
+    series: tuple[CoefficientSeries, ...]  # Where it is made or read as coefficients
+    raw: tuple[Record, TestDescription] | None  # Where it is counts
+    tau_s: float  # True time constant; NaN where it is not known
+    # True characteristic, ψ' at φ of shape (n,), and where in φ it is known.
     curve: Callable[[FloatArray], Any] | None = None
     known_phi: tuple[float, float] = (-math.inf, math.inf)
+    # Effects beyond lag and parabola that the machine truly has: no false name.
     effects: frozenset[str] = frozenset()
 
 
 def make_record(point: Point) -> Made:
-    """Make or read the record of a point.
-
-    Parameters
-    ----------
-    point : Point
-        Its source, seed and record settings.
-
-    Raises
-    ------
-    InputError
-        When the settings do not make a record.
-    """
+    """Make or read the record of a point by its source, seed and record settings."""
     makers: dict[str, Callable[..., Made]] = {
         "coefficients": _coefficients,
         "rig": _rig,
@@ -80,15 +56,7 @@ def make_record(point: Point) -> Made:
 
 
 def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
-    """Reduce the record of a point, where it is counts.
-
-    Parameters
-    ----------
-    made : Made
-        The record.
-    point : Point
-        Its reduction settings.
-    """
+    """Reduce the record of a point, where it is counts."""
     if made.raw is not None:
         from classic_ml.reduction import reduce_record
         from classic_ml.reduction_settings import ReductionSettings
@@ -121,7 +89,12 @@ def _coefficients(
         noise_frac=noise_percent / 100.0,
         **settings,
     )
-    series = tuple(
+    return Made(series_of(test), None, test.tau_s, partial(polyval, c=test.beta))
+
+
+def series_of(test: CoefficientTest) -> tuple[CoefficientSeries, ...]:
+    """Return the records of a test at the level of coefficients as series."""
+    return tuple(
         CoefficientSeries(
             r.time_s,
             r.phi,
@@ -134,7 +107,6 @@ def _coefficients(
         )
         for i, r in enumerate(test.records, start=1)
     )
-    return Made(series, None, test.tau_s, partial(polyval, c=test.beta))
 
 
 def _through_files(write: Callable[[Path], object]) -> tuple[Any, dict[str, Any]]:

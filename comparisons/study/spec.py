@@ -97,44 +97,33 @@ def _axes(name: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
     return create_model(name, __base__=Table, **axes, **others)
 
 
-def _record_table(source: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
-    return _axes(f"{source}Axes", kinds, source=(_one_of([source]), ...), **others)
-
-
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1)]
+_COEFFICIENTS = {
+    "hide": _or_none(_one_of((*EFFECTS, *OUTSIDE))),
+    "strength": NotNegative,
+    "noise": _one_of(NOISES),
+    "noise_percent": NotNegative,
+    "duration_s": Positive,
+    "sample_period_s": Positive,
+    "n_records": Count,
+    "degree": Literal[2, 3],
+    "gaps": bool,
+}
+_RIG = {
+    "case": _one_of(CASES),
+    "hide": _or_none(_one_of(HIDEABLE)),
+    "hide_size": _or_none(float),
+    "duration_s": Positive,
+    "noise_percent": NotNegative,
+}
+_PATH = Field(description="a series file, or a folder of a raw record")
 _Record: Any = Annotated[
-    _record_table(
-        "coefficients",
-        {
-            "hide": _or_none(_one_of((*EFFECTS, *OUTSIDE))),
-            "strength": NotNegative,
-            "noise": _one_of(NOISES),
-            "noise_percent": NotNegative,
-            "duration_s": Positive,
-            "sample_period_s": Positive,
-            "n_records": Count,
-            "degree": Literal[2, 3],
-            "gaps": bool,
-        },
-    )
-    | _record_table(
-        "rig",
-        {
-            "case": _one_of(CASES),
-            "hide": _or_none(_one_of(HIDEABLE)),
-            "hide_size": _or_none(float),
-            "duration_s": Positive,
-            "noise_percent": NotNegative,
-        },
-    )
-    | _record_table("machines", {"rig": str})
-    | _record_table(
-        "files",
-        {},
-        path=(_axis_of(str), Field(description="a series file, or a folder of a raw record")),
-    ),
+    _axes("coefficientsAxes", _COEFFICIENTS, source=(Literal["coefficients"], ...))
+    | _axes("rigAxes", _RIG, source=(Literal["rig"], ...))
+    | _axes("machinesAxes", {"rig": str}, source=(Literal["machines"], ...))
+    | _axes("filesAxes", {}, source=(Literal["files"], ...), path=(_axis_of(str), _PATH)),
     Field(discriminator="source"),
 ]
 _switches = get_type_hints(ReductionSettings)
@@ -321,19 +310,9 @@ def read_spec(path: Path) -> StudySpec:
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
-    """Check the content of a declaration.
+    """Return the study that a declaration is, as `tomllib` reads it, or refuse all that is wrong.
 
-    Parameters
-    ----------
-    given : mapping
-        As `tomllib` reads it.
-    where : str
-        What errors name.
-
-    Raises
-    ------
-    InputError
-        Naming all that is wrong.
+    Errors begin with `where`, the file that it comes from.
     """
     if not given:
         raise InputError(where, expected="a study", found="an empty file")

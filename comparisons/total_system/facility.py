@@ -173,13 +173,7 @@ def facility_toml(facility: Facility) -> str:
 
 
 def facility_of_case(name: str) -> Facility:
-    """Return the facility of a case of the simulated rig.
-
-    Parameters
-    ----------
-    name : str
-        A name out of `comparisons.rig.CASES`. Only its numbers are read.
-    """
+    """Return the facility of a case of the simulated rig, of which only its numbers are read."""
     case = CASES[name]
     # Numbers that have another name in the rig, or stand in a tuple there.
     own = {
@@ -206,12 +200,6 @@ def facility_of_case(name: str) -> Facility:
 
 
 def rig_case_of_test(name: str) -> str | None:
-    """Return the case that a test of the simulated rig names itself after, else None.
-
-    Parameters
-    ----------
-    name : str
-        Name of the test, as in test.toml.
-    """
+    """Return the case that a test of the simulated rig names itself after, else None."""
     found = re.fullmatch(r"simulated rig, case (\S+)", name)
     return found.group(1) if found and found.group(1) in CASES else None

@@ -128,19 +128,9 @@ def measured_signals(
             found="reversed flow in the first row" if w25[0] < 0.0 else "no reversed flow",
             remedy="the total-system method needs the start of the surge",
         )
-    return Measured(
-        test,
-        time_s,
-        w25,
-        p25,
-        p31,
-        t25,
-        float(np.mean(w25[reading])),
-        reversal_s,
-        window or (reversal_s + SMOOTHING_S, float(time_s[-1])),
-        smoothing_s,
-        record.source,
-    )
+    flow, window = float(np.mean(w25[reading])), window or (reversal_s + SMOOTHING_S, time_s[-1])
+    signals = (time_s, w25, p25, p31, t25)
+    return Measured(test, *signals, flow, reversal_s, window, smoothing_s, record.source)
 
 
 def first_reversal_s(time_s: FloatArray, flow: FloatArray) -> float | None:
@@ -157,37 +147,18 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     """Return the model's states and stall latch at each row, as the measurement gives them.
 
     W25, P31 and the pressure of the inlet volume are read off; ψ' is that of the momentum
-    equation without the unlagged reverse loss; the rest follows from the facility's balances.
-
-    Parameters
-    ----------
-    measured : Measured
-        The record.
-    model : TotalSystemModel
-        The facility, and τ for ψ.
-
-    Returns
-    -------
-    states : ndarray of shape (n, 11)
-        In the order of `STATES`.
-    latches : ndarray of shape (n, 4)
-        Branch, armed, since when and from which blend.
+    equation without the unlagged reverse loss; the rest follows from the facility's balances, and ψ
+    from the model's τ. States (n, 11) are in the order of `STATES`, latches (n, 4) branch, armed,
+    since when and from which blend.
     """
     test, machine, c = measured.test, measured.test.compressor, model.constants()
     flow, p25, p31, t25 = (
         measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
     )
-    slope = rate_of_change(flow, measured.period_s)
-    phi = flow_coefficient(
-        corrected_from_physical(flow, p25, t25),
-        t25,
-        test.areas_m2[25],
-        test.rotor_velocity_m_s,
-        machine,
-    )
-    psi_p = pressure_coefficient(
-        p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
-    )
+    slope, velocity = rate_of_change(flow, measured.period_s), test.rotor_velocity_m_s
+    corrected = corrected_from_physical(flow, p25, t25)
+    phi = flow_coefficient(corrected, t25, test.areas_m2[25], velocity, machine)
+    psi_p = pressure_coefficient(p25, p31, t25, slope, machine.inertia_per_m, velocity, machine)
     lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
     p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
     first, period_s = float(measured.time_s[0]), measured.period_s

@@ -254,12 +254,7 @@ def integrate(
     """
     rows = np.empty((n_rows, N_COLUMNS))
     s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
-    k1, k2, k3, k4 = (
-        np.empty(N_STATES),
-        np.empty(N_STATES),
-        np.empty(N_STATES),
-        np.empty(N_STATES),
-    )
+    k = np.empty((4, N_STATES))
     h, phi = row_s / substeps, np.nan
     for i in range(n_rows):
         for j in range(substeps):
@@ -269,14 +264,14 @@ def integrate(
                 # A switch inside the row is written to the latch of the next one.
                 after = time >= forced[i + 1, SINCE] > begin
                 latch[:] = forced[i + 1] if after else forced[i]
-            _rates(c, time, s, latch, k1, row)
+            _rates(c, time, s, latch, k[0], row)
             if forced.shape[0] == 0 and not np.isnan(phi):
                 _switch(c, latch, s[T_FACE], phi, row[PHI], time, h)
             phi = row[PHI]
-            _rates(c, time + 0.5 * h, s + 0.5 * h * k1, latch, k2, scratch)
-            _rates(c, time + 0.5 * h, s + 0.5 * h * k2, latch, k3, scratch)
-            _rates(c, time + h, s + h * k3, latch, k4, scratch)
-            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            for n, part in ((1, 0.5), (2, 0.5), (3, 1.0)):
+                ahead = s + part * h * k[n - 1]
+                _rates(c, time + part * h, ahead, latch, k[n], scratch)
+            s += h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
     return rows
 
 
@@ -316,22 +311,22 @@ def observe(
     """
     n = measured.shape[0]
     rows, row = np.empty((n, N_STATES)), np.empty(N_COLUMNS)
-    s, ahead = start.copy(), start.copy()
-    here, there = np.empty(N_STATES), np.empty(N_STATES)
+    s, rates = start.copy(), np.empty((2, N_STATES))
     for i in range(n):
         for j, at in enumerate(MEASURED):
             s[at] = measured[i, j]
         rows[i] = s
-        if i < n - 1:
-            time = first + i * row_s
-            _rates(c, time, s, latch[i], here, row)
-            _as_measured(c, s, (measured[i + 1] - measured[i]) / row_s, here)
-            ahead[:] = s + row_s * here
+        if i == n - 1:
+            break
+        slopes = (measured[i + 1] - measured[i]) / row_s
+        ahead = s.copy()
+        for k in range(2):
+            _rates(c, first + i * row_s + k * row_s, ahead, latch[i + k], rates[k], row)
+            _as_measured(c, ahead, slopes, rates[k])
+            ahead = s + row_s * rates[0]
             for j, at in enumerate(MEASURED):
                 ahead[at] = measured[i + 1, j]
-            _rates(c, time + row_s, ahead, latch[i + 1], there, row)
-            _as_measured(c, ahead, (measured[i + 1] - measured[i]) / row_s, there)
-            s += 0.5 * row_s * (here + there)
+        s += 0.5 * row_s * (rates[0] + rates[1])
     return rows
 
 
@@ -370,19 +365,13 @@ class TotalSystemModel:
         near, machine = self.test.near_stall, self.test.compressor
         work = 2.0 * machine.specific_heat_J_kg_K / self.test.rotor_velocity_m_s**2
         rise = (near.P31_Pa / near.P25_Pa) ** ((machine.gamma - 1.0) / machine.gamma) - 1.0
-        state = {
-            "W25": self.near_stall_flow_kg_s,
-            "psi_p_lagged": work * near.T25_K * rise,
-            "psi": work * (near.T31_K - near.T25_K),
-            "P31": near.P31_Pa,
-            "T31": near.T31_K,
-            "P_in": near.P25_Pa * (1.0 + self.facility.inlet.loss_frac),
-            "T_in": near.T25_K,
-            "P_ex": self.facility.throttle.exhaust_pressure_frac * near.P31_Pa,
-            "T_ex": near.T31_K,
-            "T_coil": near.T25_K,
-            "T25": near.T25_K,
-        }
+        state = {"W25": self.near_stall_flow_kg_s, "P31": near.P31_Pa}
+        state["psi_p_lagged"] = work * near.T25_K * rise
+        state["psi"] = work * (near.T31_K - near.T25_K)
+        state["P_in"] = near.P25_Pa * (1.0 + self.facility.inlet.loss_frac)
+        state["P_ex"] = self.facility.throttle.exhaust_pressure_frac * near.P31_Pa
+        state |= dict.fromkeys(("T25", "T_in", "T_coil"), near.T25_K)
+        state |= dict.fromkeys(("T31", "T_ex"), near.T31_K)
         return np.array([state[name] for name in STATES])
 
     def constants(self) -> Any:
@@ -405,12 +394,11 @@ class TotalSystemModel:
                 found=f"{middle:g} Pa",
             )
         loss = f.inlet.loss_frac * near.P25_Pa / flow**2
+        stirring = f.heat.recirculation_work * velocity**2 / (2.0 * machine.specific_heat_J_kg_K)
         known = [float(value) for table in f.model_dump().values() for value in table.values()]
         c = Constants(
             **dict(zip(FACILITY_FIELDS, known, strict=True)),
-            beta1=self.beta[0],
-            beta2=self.beta[1],
-            beta3=self.beta[2],
+            **dict(zip(("beta1", "beta2", "beta3"), self.beta, strict=True)),
             tau=self.tau_s,
             inertia=machine.inertia_per_m,
             storage_volume=_STORAGE_SHARE * machine.internal_volume_m3,
@@ -418,9 +406,7 @@ class TotalSystemModel:
             loss=loss,
             supply_flow=flow,
             supply_pressure=near.P25_Pa + loss * flow**2,
-            recirculation_heat=f.heat.recirculation_work
-            * velocity**2
-            / (2.0 * machine.specific_heat_J_kg_K),
+            recirculation_heat=stirring,
             throttle_area=1.0,
             exhaust_area=1.0,
             start=self.start_s,
