@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from comparisons.missing_effect.systems.dynamics import PLAY_SAMPLES, SLOTS
+from comparisons.missing_effect.systems.dynamics import PLAY_SAMPLES
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, map_value
 from comparisons.missing_effect.systems.structure import Run, Structure
@@ -39,11 +39,7 @@ def black_box_outputs(
     from scipy.interpolate import CubicSpline
 
     model = structure.model
-    first = len(model.params) + len(model.inputs)
-    effects = [
-        (placed, theta[first + SLOTS * e : first + SLOTS * (e + 1)])
-        for e, placed in enumerate(structure.effects)
-    ]
+    effects = [(placed, theta[structure.slots_of(placed)]) for placed in structure.effects]
     inputs = _inputs(structure, run, theta, effects)
     drifts = [
         (placed.place.at, float(slots[0]) * placed.scales[0])

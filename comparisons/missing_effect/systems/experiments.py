@@ -142,7 +142,7 @@ class Experiment:
         return np.column_stack([self.channels[name] for name in names])
 
 
-def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
+def input_pieces(values: FloatArray, how: str) -> FloatArray:
     """Return an input between samples as cubic pieces.
 
     Parameters
@@ -155,22 +155,19 @@ def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
 
     Returns
     -------
-    pieces : ndarray of shape (m, 4)
+    ndarray of shape (m, 4)
         Coefficients of 1, s, s², s³ on each piece, s from 0 to 1 along it.
-    per_sample : int
-        Pieces a sample.
     """
     if how == "held":
         pieces = np.zeros((values.size, 4))
         pieces[:, 0] = values
-        return pieces, 1
+        return pieces
     if how == "linear":
         pieces = np.zeros((values.size - 1, 4))
         pieces[:, 0], pieces[:, 1] = values[:-1], np.diff(values)
-        return pieces, 1
+        return pieces
     from scipy.interpolate import CubicSpline
 
-    per_sample = 1
     if how == "band":
         from scipy.signal import resample_poly
 
@@ -178,6 +175,5 @@ def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
         ramp = np.linspace(values[0], values[-1], values.size)
         fine = resample_poly(values - ramp, BAND_FACTOR, 1)[: BAND_FACTOR * (values.size - 1) + 1]
         values = fine + np.linspace(ramp[0], ramp[-1], fine.size)
-        per_sample = BAND_FACTOR
     spline = CubicSpline(np.arange(values.size, dtype=np.float64), values)
-    return np.ascontiguousarray(spline.c[::-1].T), per_sample
+    return np.ascontiguousarray(spline.c[::-1].T)

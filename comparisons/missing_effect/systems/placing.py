@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.systems.fit import Fit
-from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.places import (
     AT_INPUTS,
     AT_OUTPUTS,
@@ -18,6 +17,7 @@ from comparisons.missing_effect.systems.places import (
     rms,
 )
 from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 

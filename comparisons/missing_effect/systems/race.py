@@ -119,8 +119,7 @@ def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
 def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
     """Return where a fit of one more effect, or of two, may begin."""
     effect, theta = probe.placed.effect, bench.fit.theta
-    first = len(structure.model.params)
-    end = first + len(structure.model.inputs)
+    end = bench.fit.structure.offsets.stop
     slots = _slots(structure, probe)
     if probe.second is not None:
         return [np.concatenate([theta, slots, _slots(structure, probe.second)])]
@@ -131,7 +130,9 @@ def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatA
         out.append(np.concatenate([begun[:end], theta[end:], slots]))
     elif effect.kind in LATE:
         # What comes late through it, the model without it has put down to a timing offset.
-        out.append(np.concatenate([theta[:first], 0.0 * theta[first:end], theta[end:], slots]))
+        untimed = theta.copy()
+        untimed[bench.fit.structure.offsets] = 0.0
+        out.append(np.concatenate([untimed, slots]))
     if effect.numbers and not effect.linear:
         # A threshold in the run of a model that lacks it may be nowhere near the true one.
         others = [start for start in probe.placed.starts if start != probe.start]

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.covariance import orthonormal
-from comparisons.missing_effect.systems.fit import Fit, parameter_steps
+from comparisons.missing_effect.systems.fit import Fit
+from comparisons.missing_effect.systems.linearised import Laid
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.simulate import answers, effect_answers, transitions
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
@@ -176,32 +176,22 @@ class Prober:
         self.fit = fit
         self.runs = tuple(runs)
         structure = fit.structure
-        which = structure.free
-        steps = parameter_steps(structure, fit.theta)[which]
-        n_x = len(structure.model.states)
+        unknowns = structure.free.size + len(structure.model.states)
         self._made: dict[object, list[FloatArray]] = {}
-        self._nuisance = []
-        self._steps = []
-        for run, path in zip(self.runs, fit.paths, strict=True):
-            J = answers(structure, run, fit.theta, path, fit.scale, which, steps)
-            self._nuisance.append(J[:, :, : which.size + n_x])
-            self._steps.append(transitions(structure, run, fit.theta, path, fit.scale))
+        self._along = fit.linearised(self.runs)
+        self._nuisance = [one.to_numbers(structure.free)[:, :, :unknowns] for one in self._along]
 
     def columns(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
         """Return how the outputs would answer, one array of shape (n, n_y) a run."""
         self._lay([(placed, start)])
         return self._made[placed.key, start]
 
-    def _lay(self, laid: Sequence[tuple[Placed, tuple[float, ...]]]) -> None:
+    def _lay(self, laid: Sequence[Laid]) -> None:
         """Make the columns that are not there yet, some at a time, once for all metrics."""
-        fit = self.fit
         new = [(placed, start) for placed, start in laid if (placed.key, start) not in self._made]
         for first in range(0, len(new), LAID_TOGETHER):
             some = new[first : first + LAID_TOGETHER]
-            each = [
-                effect_answers(fit.structure, run, fit.theta, path, fit.scale, steps, some)
-                for run, path, steps in zip(self.runs, fit.paths, self._steps, strict=True)
-            ]
+            each = [one.to_effects(some) for one in self._along]
             for c, (placed, start) in enumerate(some):
                 self._made[placed.key, start] = [columns[:, :, c] for columns in each]
 
