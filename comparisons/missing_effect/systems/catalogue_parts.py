@@ -9,6 +9,7 @@ import numpy as np
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Place
 from comparisons.missing_effect.systems.roles import (
+    angles,
     displacements,
     free_equations,
     physical,
@@ -24,8 +25,6 @@ Starts = Callable[[FloatArray], tuple[tuple[float, ...], ...]]
 # samples beyond a twentieth of its rms, either way.
 LEAST_SIDE_SHARE = 0.02
 SIDE = 0.05
-# Quantiles of the size of a signal at which thresholds start.
-THRESHOLDS = (0.98, 0.85, 0.6)
 
 
 def on(signals: Callable[[Model], Sequence[int]]) -> Places:
@@ -117,43 +116,24 @@ def on_square_products(model: Model) -> tuple[Place, ...]:
     return tuple(Place(i, a, b) for i in free_equations(model) for a, b in pairs)
 
 
-def from_zero(_: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Start an amplitude from nothing."""
-    return ((0.0,),)
+on_displacements, on_rates, on_angles = on(displacements), on(rates), on(angles)
 
 
-def fixed(*starts: tuple[float, ...]) -> Starts:
+def fixed(*starts: Sequence[float]) -> Starts:
     """Start from numbers that are the same for every signal."""
-    return lambda _: starts
+    return lambda _: tuple(map(tuple, starts))
 
 
-def from_quantiles(*shares: float) -> Starts:
-    """Start a threshold from quantiles of the size of the signal."""
+def quantiles(
+    of: str, shares: Sequence[float], before: Sequence[float] = (), after: Sequence[float] = ()
+) -> Starts:
+    """Start a threshold from quantiles of a signal, or of its size, among other numbers."""
 
     def starts(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-        return tuple((float(v),) for v in np.quantile(np.abs(signal), shares))
+        values = np.quantile(np.abs(signal) if of == "size" else signal, shares)
+        return tuple((*before, float(value), *after) for value in values)
 
     return starts
-
-
-def from_upper_end(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Start a threshold from the upper quantiles of the signal."""
-    return tuple((float(v),) for v in np.quantile(signal, THRESHOLDS))
-
-
-def from_lower_end(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Start a threshold from the lower quantiles of the signal."""
-    return tuple((float(v),) for v in np.quantile(signal, [1.0 - q for q in THRESHOLDS]))
-
-
-def from_rim(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Start a rim from the upper quantiles of the signal, with all that exceeds it lost."""
-    return tuple((float(v), 1.0) for v in np.quantile(signal, THRESHOLDS))
-
-
-def from_gap(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Start a gap from quantiles of the size of the signal, with no stiffness behind it."""
-    return tuple((0.0, float(v)) for v in np.quantile(np.abs(signal), (0.3, 0.6, 0.85)))
 
 
 def always(_: FloatArray, __: FloatArray) -> str:
