@@ -6,7 +6,7 @@ import tomllib
 from importlib.resources import files
 from typing import Any
 
-from comparisons.missing_effect.systems import catalogue_parts as parts
+from comparisons.missing_effect.systems import roles
 from comparisons.missing_effect.systems.places import Neutral, Number, SystemEffect
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 
@@ -22,9 +22,9 @@ def _effect(entry: dict[str, Any], measurements: dict[str, str]) -> SystemEffect
         kind=kind,
         code=shapes[shape] if shape else 0,
         numbers=tuple(Number(*number) for number in entry.pop("numbers")),
-        places=getattr(parts, entry.pop("places")),
-        starts=parts.quantiles(**starts) if isinstance(starts, dict) else parts.fixed(*starts),
-        refused=getattr(parts, entry.pop("refused", "always")),
+        places=getattr(roles, entry.pop("places")),
+        starts=roles.quantiles(**starts) if isinstance(starts, dict) else roles.fixed(*starts),
+        refused=getattr(roles, entry.pop("refused", "always")),
         confirm=entry.pop("confirm").format(**measurements),
         simple_form_of=tuple(entry.pop("simple_form_of", ())),
         neutral=neutral,

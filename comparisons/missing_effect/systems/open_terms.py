@@ -8,7 +8,9 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 
-from comparisons.missing_effect.systems.catalogue_parts import (
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Number, SystemEffect
+from comparisons.missing_effect.systems.roles import (
     Places,
     alone,
     always,
@@ -19,8 +21,6 @@ from comparisons.missing_effect.systems.catalogue_parts import (
     on_products,
     on_square_products,
 )
-from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Number, SystemEffect
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from surge_core.errors import InputError
 

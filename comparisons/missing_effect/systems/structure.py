@@ -8,10 +8,9 @@ import numpy as np
 
 from comparisons.missing_effect.systems.compiled import compiled, expression_address
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
-from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
+from comparisons.missing_effect.systems.experiments import Experiment, all_pass, input_pieces
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import BoolArray, FloatArray, IntArray
 

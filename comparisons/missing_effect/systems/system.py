@@ -16,10 +16,14 @@ from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.race import FLIP_SEED, favoured_metric, promising, raced
-from comparisons.missing_effect.systems.rivals import rejected
-from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.race import (
+    FLIP_SEED,
+    favoured_metric,
+    promising,
+    raced,
+    rejected,
+)
+from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import FloatArray
 
