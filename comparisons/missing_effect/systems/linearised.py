@@ -25,6 +25,7 @@ from comparisons.missing_effect.systems.dynamics import (
     extended_rhs,
     prepare,
     scratch_for,
+    views,
 )
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.pointers import kernel
@@ -319,13 +320,12 @@ def _moved_alone(
 ) -> None:
     """Fill out with what number i of θ, moved already by so much, has a hand in."""
     ints = system[1]
-    n_x, n_u, n_p = ints[2], ints[3], ints[4]
+    x, u, p, _ = views(ints, scratch)
     for j in range(out.size):
         out[j] = 0.0
-    if i >= n_p:
-        add_effect((i - n_p - n_u) // SLOTS, t, X, system, out, scratch)
+    if i >= p.size:
+        add_effect((i - p.size - u.size) // SLOTS, t, X, system, out, scratch)
         return
-    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     value = p[i]
     p[i] = value + by
     call_at(ints[0], t, x, u, p, out)

@@ -1,4 +1,4 @@
-"""The race: which candidates are worth a fit, their first steps, and whether one rejects another."""
+"""The race: which candidates are worth a fit, their first steps, and which rivals are rejected."""
 
 from __future__ import annotations
 

@@ -171,6 +171,10 @@ def _slope(out: Any, t: float, state: Any, given: Any) -> None:
     extended_rhs(t, X, (theta, ints, floats, pieces, packed[:4]), dX, scratch)
 
 
+def _at(array: Any) -> tuple[int, int]:
+    return array.ctypes.data, array.size
+
+
 def _integrated(
     method: str,
     times: FloatArray,
@@ -185,21 +189,9 @@ def _integrated(
     # The callback gets one block of bytes: the addresses of everything else.
     _, ints, _, pieces, _ = system
     scratch = scratch_for(ints)
-    given = np.array(
-        [
-            start.size,
-            ints.ctypes.data,
-            ints.size,
-            packed.ctypes.data,
-            packed.size,
-            pieces.ctypes.data,
-            pieces.shape[0],
-            pieces.shape[1],
-            scratch.ctypes.data,
-            scratch.size,
-        ],
-        dtype=np.int64,
-    )
+    sizes = pieces.shape[:2]
+    where = [*_at(ints), *_at(packed), pieces.ctypes.data, *sizes, *_at(scratch)]
+    given = np.array([start.size, *where], dtype=np.int64)
     begun = np.array(start, dtype=np.float64)
     relative, absolute = np.array(tolerances[:1]), tolerances[1]
     step_s = float(times[1] - times[0])
@@ -207,25 +199,18 @@ def _integrated(
         _slope.address,
         float(times[0]),
         float(times[-1]),
-        begun.ctypes.data,
-        begun.size,
+        *_at(begun),
         cyrk.find_ode_method_int(method),
         times.size,
         0,
-        given.ctypes.data,
-        given.nbytes,
+        *(given.ctypes.data, given.nbytes),
         MOST_STEPS * times.size,
         MOST_MEGABYTES,
         False,
-        times.ctypes.data,
-        times.size,
-        0,
-        0,
-        0,
-        relative.ctypes.data,
-        relative.size,
-        absolute.ctypes.data,
-        absolute.size,
+        *_at(times),
+        *(0, 0, 0),
+        *_at(relative),
+        *_at(absolute),
         LONGEST_STEP * step_s,
         0.0,
         True,
