@@ -31,22 +31,13 @@ def free_equations(model: Model) -> tuple[int, ...]:
     return tuple(i for i, name in names if name not in model.exact and i not in model.cells)
 
 
-def rate_of(model: Model) -> dict[int, int]:
-    """Return, for each exact state, the state that is its rate, as far as one is.
-
-    dq/dt = v makes v the rate of q, and so does dq/dt = S v for any S.
-    """
-    return {i: j for i, (j, _) in _rates(model).items()}
-
-
-def rate_factors(model: Model) -> dict[int, float]:
-    """Return S of dq/dt = S v for each exact state with a rate; NaN where parameters make it."""
-    return {i: factor for i, (_, factor) in _rates(model).items()}
-
-
 @lru_cache(maxsize=64)
-def _rates(model: Model) -> dict[int, tuple[int, float]]:
-    """Return rate and factor of each exact state; the factor is the same at all states."""
+def rates_of(model: Model) -> dict[int, tuple[int, float]]:
+    """Return, for each exact state, the state that is its rate, as far as one is, and its factor.
+
+    dq/dt = v makes v the rate of q, and so does dq/dt = S v for any S, which is the same at all
+    states; it is not a number where parameters make it.
+    """
     if model.simulate is not None:
         return {}
     factors = []
@@ -141,20 +132,20 @@ def _deflections(model: Model) -> set[int]:
     """Return the exact states that sum up others: of one rate, or of several and of no input."""
     summed = {i for i, _ in stored_from(model)} - set(free_equations(model))
     if not summed:
-        return set(rate_of(model))
+        return set(rates_of(model))
     p, rest = _middle(model, 0), (0.0,) * len(model.inputs)
     inner = {
         i
         for i in summed
         if all(model.evaluate(0.3, x, rest, p)[0][i] == dx[i] for x, dx, _ in _tries(model))
     }
-    return inner | set(rate_of(model))
+    return inner | set(rates_of(model))
 
 
 def displacements(model: Model) -> tuple[int, ...]:
     """Return the states that may be deflections: all but those that are rates of others."""
-    rates_ = set(rate_of(model).values())
-    return tuple(i for i in physical(model) if i not in rates_)
+    speeds = {j for j, _ in rates_of(model).values()}
+    return tuple(i for i in physical(model) if i not in speeds)
 
 
 def rates(model: Model) -> tuple[int, ...]:

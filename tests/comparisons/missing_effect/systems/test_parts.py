@@ -20,9 +20,8 @@ from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.roles import (
     against_storing,
     displacements,
-    rate_factors,
-    rate_of,
     rates,
+    rates_of,
 )
 from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
@@ -253,10 +252,10 @@ def test_a_definition_may_be_scaled() -> None:
         exact=("q", "r", "s"),
         balance={},
     )
-    assert rate_of(model) == {0: 3, 1: 3}
-    factors = rate_factors(model)
-    assert factors[0] == pytest.approx(0.25)
-    assert np.isnan(factors[1])
+    found = rates_of(model)
+    assert {i: j for i, (j, _) in found.items()} == {0: 3, 1: 3}
+    assert found[0][1] == pytest.approx(0.25)
+    assert np.isnan(found[1][1])
 
 
 @pytest.mark.parametrize(
