@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
-from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, runs_of
-from comparisons.missing_effect.systems.simulate import transitions
+from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
 from surge_core.types import FloatArray
 
@@ -251,11 +250,10 @@ def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
 
 def growth_of(fit: Fit, bench: Bench) -> float:
     """Return by how many powers of e small changes of the state grow along the runs, at most."""
-    structure, most = fit.structure, 0.0
-    for run, path in zip(bench.train, fit.paths, strict=True):
-        steps = transitions(structure, run, fit.theta, path, fit.scale)
+    most = 0.0
+    for one in fit.linearised(bench.train):
         # A black box does not say how its states change.
-        whole = () if steps is None else steps[0]
+        whole = () if one.transitions is None else one.transitions[0]
         change, size = np.diag(fit.scale), 0.0
         for step in whole:
             change = step @ change
@@ -269,9 +267,6 @@ def growth_of(fit: Fit, bench: Bench) -> float:
 
 def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:
     """Return θ of a fit with the timing offsets of another."""
-    first = len(fit.structure.model.params)
-    theta = fit.theta.copy()
-    theta[first : first + len(fit.structure.model.inputs)] = timed.theta[
-        first : first + len(fit.structure.model.inputs)
-    ]
+    theta, at = fit.theta.copy(), fit.structure.offsets
+    theta[at] = timed.theta[at]
     return theta

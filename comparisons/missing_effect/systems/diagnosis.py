@@ -299,16 +299,10 @@ def _row(name: str, p: P, fitted: Sequence[tuple[float, float]]) -> ParameterRow
 
 
 def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, ...]:
-    first = len(model.params)
-    return tuple(
-        FittedParameter(
-            name,
-            float(fit.theta[first + j]),
-            float(np.sqrt(max(cov[first + j, first + j], 0.0))),
-            "samples",
-        )
-        for j, name in enumerate(model.input_names)
-    )
+    at = fit.structure.offsets
+    errors = np.sqrt(np.maximum(np.diag(cov)[at], 0.0)).tolist()
+    each = zip(model.input_names, fit.theta[at].tolist(), errors, strict=True)
+    return tuple(FittedParameter(name, value, error, "samples") for name, value, error in each)
 
 
 def _run(

@@ -12,12 +12,11 @@ from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import settled
-from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
-from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.score import Prober, placed_effects
+from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of

@@ -109,18 +109,27 @@ def scratch_for(ints: IntArray) -> FloatArray:
 
 
 @kernel
+def views(
+    ints: IntArray, scratch: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return states, inputs, parameters and outputs in the scratch."""
+    u, p = ints[2], ints[2] + ints[3]
+    y = p + ints[4]
+    return scratch[:u], scratch[u:p], scratch[p:y], scratch[y : y + ints[5]]
+
+
+@kernel
 def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray) -> None:
     """Fill the scratch with states, inputs and parameters as the model sees them.
 
     In dX what own states of inputs do is filled, and zero elsewhere.
     """
     theta, ints, floats, _, _ = system
-    n_x, n_u, n_p = ints[2], ints[3], ints[4]
-    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
+    x, u, p, _ = views(ints, scratch)
     # Loops, since numba takes ten times as long to copy a few numbers from slice to slice.
     for i in range(X.size):
         dX[i] = 0.0
-    for i in range(n_x):
+    for i in range(x.size):
         x[i] = X[i]
     _inputs(t, X, system, u, dX)
     _parameters(t, system, p)
@@ -128,7 +137,7 @@ def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: Fl
         row = HEAD + ROW * e
         if ints[row] == 8:
             i = ints[row + 2]
-            a = theta[n_p + n_u + SLOTS * e]
+            a = theta[ints[4] + ints[3] + SLOTS * e]
             x[i] = map_value(ints[row + 1], x[i], floats[FLOATS * e + 1], a)
 
 
@@ -149,9 +158,7 @@ def add_effect(
         scale = FLOATS * e
         m, value = ints[row + 4], 0.0
         if ints[row + 1] == 12:
-            n_u, n_p = ints[3], ints[4]
-            x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
-            given = scratch[n_x + n_u + n_p : n_x + n_u + n_p + 1]
+            x, u, p, given = views(ints, scratch)
             call_at(ints[row + 6], t, x, u, p, given)
             value = given[0] / floats[scale + 1]
         else:
@@ -196,33 +203,33 @@ def extended_rhs(
     theta, ints, _, _, clock = system
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
     prepare(t, X, system, dX, scratch)
-    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
+    x, u, p, y = views(ints, scratch)
     call_at(ints[0], t, x, u, p, dX)
     for e in range(ints[7]):
         add_effect(e, t, X, system, dX, scratch)
     for e in range(ints[7]):
         row = HEAD + ROW * e
         if ints[row] == 6:
-            y = scratch[n_x + n_u + n_p : n_x + n_u + n_p + ints[5]]
             # The sensor reads the state itself, and what its reading goes through comes first.
             for i in range(n_x):
                 x[i] = X[i]
             call_at(ints[1], t, x, u, p, y)
-            _map_outputs(e, system, y)
-            own = ints[row + 5]
+            _read(e, X, system, y)
             lag_s = max(theta[n_p + n_u + SLOTS * e], 1e-3) * clock[1]
-            dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
+            dX[ints[row + 5]] = (y[ints[row + 2]] - X[ints[row + 5]]) / lag_s
 
 
 @kernel
-def _map_outputs(end: int, system: System, y: FloatArray) -> None:
+def _read(end: int, X: FloatArray, system: System, y: FloatArray) -> None:
     """Put into y what stands in place of readings, by the effects before number ``end``."""
     theta, ints, floats, _, _ = system
     at = ints[4] + ints[3]
     for e in range(end):
         row = HEAD + ROW * e
-        if ints[row] == 5:
-            j = ints[row + 2]
+        j = ints[row + 2]
+        if ints[row] == 6:
+            y[j] = X[ints[row + 5]]
+        elif ints[row] == 5:
             y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])
 
 
@@ -231,20 +238,12 @@ def extended_output(
     t: float, X: FloatArray, system: System, y: FloatArray, scratch: FloatArray
 ) -> None:
     """Fill y with the outputs of the extended system; the rest as of `extended_rhs`."""
-    theta, ints, floats, _, _ = system
-    n_x, n_u, n_p = ints[2], ints[3], ints[4]
-    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
-    for i in range(n_x):
+    ints = system[1]
+    x, u, p, _ = views(ints, scratch)
+    for i in range(x.size):
         x[i] = X[i]
-    unused = scratch[n_x + n_u + n_p + ints[5] :]
+    unused = scratch[x.size + u.size + p.size + ints[5] :]
     _inputs(t, X, system, u, unused)
     _parameters(t, system, p)
     call_at(ints[1], t, x, u, p, y)
-    at = n_p + n_u
-    for e in range(ints[7]):
-        row = HEAD + ROW * e
-        j = ints[row + 2]
-        if ints[row] == 6:
-            y[j] = X[ints[row + 5]]
-        elif ints[row] == 5:
-            y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])
+    _read(ints[7], X, system, y)

@@ -1,4 +1,4 @@
-"""Measured experiments: one run each of a system, and how its inputs run between samples."""
+"""Measured experiments: one run each of a system, and what its channels were between samples."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ FEWEST_READINGS = 10
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it
 # to well below the noise of any record here.
 BAND_FACTOR = 4
+# Rows by which a record is prolonged, point-symmetric about its ends, before it is transformed.
+PADDING = 400
+LEAST_BRIDGE = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,7 @@ class Experiment:
         return np.column_stack([self.channels[name] for name in names])
 
 
-def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
+def input_pieces(values: FloatArray, how: str) -> FloatArray:
     """Return an input between samples as cubic pieces.
 
     Parameters
@@ -155,22 +158,19 @@ def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
 
     Returns
     -------
-    pieces : ndarray of shape (m, 4)
+    ndarray of shape (m, 4)
         Coefficients of 1, s, s², s³ on each piece, s from 0 to 1 along it.
-    per_sample : int
-        Pieces a sample.
     """
     if how == "held":
         pieces = np.zeros((values.size, 4))
         pieces[:, 0] = values
-        return pieces, 1
+        return pieces
     if how == "linear":
         pieces = np.zeros((values.size - 1, 4))
         pieces[:, 0], pieces[:, 1] = values[:-1], np.diff(values)
-        return pieces, 1
+        return pieces
     from scipy.interpolate import CubicSpline
 
-    per_sample = 1
     if how == "band":
         from scipy.signal import resample_poly
 
@@ -178,6 +178,43 @@ def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
         ramp = np.linspace(values[0], values[-1], values.size)
         fine = resample_poly(values - ramp, BAND_FACTOR, 1)[: BAND_FACTOR * (values.size - 1) + 1]
         values = fine + np.linspace(ramp[0], ramp[-1], fine.size)
-        per_sample = BAND_FACTOR
     spline = CubicSpline(np.arange(values.size, dtype=np.float64), values)
-    return np.ascontiguousarray(spline.c[::-1].T), per_sample
+    return np.ascontiguousarray(spline.c[::-1].T)
+
+
+def all_pass(values: FloatArray, alpha: float, beta: float, *, inverse: bool = False) -> FloatArray:
+    """Return channels behind an all-pass of second order, or before it.
+
+    Inputs and outputs that went through the same anti-alias filter look right to any linear model,
+    whose filter cancels. A nonlinear model does not commute with it: harmonics come late. What was
+    recorded is F u and F y, so the system is driven by F⁻¹ of the input and F is laid over its
+    answer. F(s) = (1 − α s + β s²) / (1 + α s + β s²), s in radians a sample; a common delay cannot
+    be seen.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n, ...)
+        Channels along the first axis.
+    alpha, beta : float
+        Coefficients, per sample; α = 0 leaves everything as it is.
+    inverse : bool
+        Undo the filter instead.
+    """
+    if alpha == 0.0:
+        return values
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    n = values.shape[0]
+    pad = min(PADDING, n - 1)
+    before = 2.0 * values[:1] - values[pad:0:-1]
+    after = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
+    joined = np.concatenate([before, values, after])
+    size = next_fast_len(joined.shape[0] + LEAST_BRIDGE, real=True)
+    # The gap to the next fast length is bridged, so that the ends do not meet with a step.
+    bridge = np.linspace(0.0, 1.0, size - joined.shape[0] + 2)[1:-1]
+    bridge = bridge.reshape(-1, *(1,) * (values.ndim - 1))
+    joined = np.concatenate([joined, joined[-1:] * (1.0 - bridge) + joined[:1] * bridge])
+    omega = 2.0 * np.pi * np.arange(size // 2 + 1) / size
+    phase = -2.0 * np.arctan2(alpha * omega, 1.0 - beta * omega**2)
+    turn = np.exp((-1j if inverse else 1j) * phase).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(irfft(rfft(joined, axis=0) * turn, n=size, axis=0)[pad : pad + n])

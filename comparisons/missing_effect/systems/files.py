@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from classic_ml.clock import uniform_period_s
 from classic_ml.io.formats import open_stored
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
@@ -21,9 +22,8 @@ from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 TIMES = ("time_s", "t")
-# How far a clock may be off a uniform one, in sample periods; a step of more than the second is a
-# gap and not a jitter.
-LARGEST_JITTER, GAP = 1e-3, 1.5
+# How far a clock may be off a uniform one, in sample periods.
+LARGEST_JITTER = 1e-3
 # A period is as round as the jitter of its clock leaves open; a float's own noise at least.
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
 LONGEST_CAUSE = 200
@@ -65,20 +65,11 @@ def read_experiment(
         Naming the file, the column and the row at fault.
     """
     file = Path(path)
+    expected = "a record ending in .csv, .mat, .npz or .nc"
+    _require_file(file, expected)
     reader = _READERS.get(file.suffix.lower())
-    found = ""
-    if file.is_dir():
-        found = "a folder"
-    elif reader is None:
-        found = f"the suffix '{file.suffix}'"
-    elif not file.is_file():
-        found = "no such file"
-    elif file.stat().st_size == 0:
-        found = "an empty file"
-    if reader is None or found:
-        raise InputError(
-            str(file), expected="a record ending in .csv, .mat, .npz or .nc", found=found
-        )
+    if reader is None:
+        raise InputError(str(file), expected=expected, found=f"the suffix '{file.suffix}'")
     wanted = None if model is None else (*model.input_names, *model.output_names)
     columns = reader(file, wanted)
     clocks = [name for name in TIMES if name in columns]
@@ -101,7 +92,7 @@ def read_experiment(
             found=f"{columns[odd[0]].size}",
         )
     columns = {key: values for key, values in columns.items() if key not in odd}
-    period_s = _period(file, clocks[0], time_s)
+    period_s = _period(f"{file}: {clocks[0]}", time_s)
     run = Experiment(
         name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
     )
@@ -129,9 +120,7 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         When the file is missing, fails (with the line), or holds no model or several.
     """
     file = Path(path)
-    if not file.is_file():
-        found = "a folder" if file.is_dir() else "no such file"
-        raise InputError(str(file), expected="a Python file with a model", found=found)
+    _require_file(file, "a Python file with a model")
     try:
         with _folder_on_path(file.parent):
             space = runpy.run_path(str(file), run_name="sindy_surge_model")
@@ -164,6 +153,15 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         )
     (name,) = models.values()
     return space[name]  # type: ignore[no-any-return]
+
+
+def _require_file(file: Path, expected: str) -> None:
+    """Refuse a folder, a file that is not there, and an empty one."""
+    found = "a folder" if file.is_dir() else "" if file.is_file() else "no such file"
+    if not found and file.stat().st_size == 0:
+        found = "an empty file"
+    if found:
+        raise InputError(str(file), expected=expected, found=found)
 
 
 @contextmanager
@@ -286,32 +284,14 @@ _READERS = {
 }
 
 
-def _period(file: Path, clock: str, time_s: FloatArray) -> float:
+def _period(where: str, time_s: FloatArray) -> float:
     """Return the sample period of a uniform clock; refuse another with its row."""
-    where, n = f"{file}: {clock}", time_s.size
     bad = np.flatnonzero(~np.isfinite(time_s))
     if bad.size:
         raise InputError(
             where, expected="finite times", found=f"{time_s[bad[0]]} in row {bad[0] + 1}"
         )
-    with np.errstate(over="ignore"):
-        steps = np.diff(time_s)
-    usual = float(np.median(steps))
-    for wrong, found in (
-        (steps < 0.0, "a step back"),
-        (steps == 0.0, "a repeated time"),
-        (steps > GAP * usual, "a gap"),
-    ):
-        rows = np.flatnonzero(wrong)
-        if rows.size:
-            row = int(rows[0])
-            raise InputError(
-                where,
-                expected="times that rise by one sample period",
-                found=f"{found} in row {row + 2} ({time_s[row]:.9g} to {time_s[row + 1]:.9g} s)",
-                remedy="give the pieces as records of their own" if found == "a gap" else "",
-            )
-    period_s = float(time_s[-1] - time_s[0]) / (n - 1)
+    n, period_s = time_s.size, uniform_period_s(time_s, where)
     off = np.abs(time_s - (time_s[0] + period_s * np.arange(n))) / period_s
     row = int(np.argmax(off))
     if off[row] > LARGEST_JITTER:

@@ -6,19 +6,18 @@ that outputs of different units weigh as their own errors ask for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.dynamics import SLOTS
+from comparisons.missing_effect.systems.linearised import Linearised
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.simulate import Path, answers, own_starts, path_of
+from comparisons.missing_effect.systems.simulate import Path, own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 MOST_ITERATIONS = 40
 # Log-units: a step that wins less ends the search.
@@ -26,8 +25,6 @@ SETTLED = 0.02
 SETTLED_SHARE = 1e-5
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
 FASTER, SLOWER = 0.2, 6.0
-RELATIVE_STEP = 1e-5
-HELD_STEP = 0.5
 # Scale of a state before it has been simulated once, for the integrator's tolerance alone.
 UNKNOWN_SCALE = 1e-3
 
@@ -53,8 +50,6 @@ class Fit:
         where the simulation failed.
     paths : tuple of Path
         The runs.
-    failed : bool
-        Whether no run of it could be simulated.
     """
 
     structure: Structure
@@ -64,7 +59,11 @@ class Fit:
     cost: float
     errors: tuple[FloatArray, ...]
     paths: tuple[Path, ...]
-    failed: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether a run of it could not be simulated."""
+        return not np.isfinite(self.cost)
 
     @property
     def n_parameters(self) -> int:
@@ -75,6 +74,26 @@ class Fit:
         """Return the model's parameters by name."""
         return dict(zip(self.structure.model.param_names, self.theta.tolist(), strict=False))
 
+    def linearised(self, runs: Sequence[Run]) -> list[Linearised]:
+        """Return its runs linearised."""
+        return [
+            Linearised(self.structure, run, self.theta, path, self.scale)
+            for run, path in zip(runs, self.paths, strict=True)
+        ]
+
+    def whitened_answers(
+        self, runs: Sequence[Run], metric: Metric, which: IntArray, rows: int | None = None
+    ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+        """Yield for each run its unknowns, its whitened answers to them, and its whitened errors.
+
+        Unknowns are the numbers of θ that are asked for, and behind them the starts of all runs.
+        """
+        m, n_x = which.size, len(self.structure.model.states)
+        for r, (one, errors) in enumerate(zip(self.linearised(runs), self.errors, strict=True)):
+            at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
+            J = one.to_numbers(which)[:rows, :, : m + n_x]
+            yield at, metric.whitened(J), metric.whitened(errors[:rows])
+
 
 def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
     """Return the rms of each state over runs, 1e-3 at least of nothing."""
@@ -83,17 +102,6 @@ def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
         return np.full(structure.n_states, UNKNOWN_SCALE)
     joined = np.concatenate(good)
     return np.array([rms(joined[:, i]) for i in range(joined.shape[1])])
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Where a search stands: θ, starts, runs, errors, cost."""
-
-    theta: FloatArray
-    starts: tuple[FloatArray, ...]
-    paths: tuple[Path, ...]
-    errors: tuple[FloatArray, ...]
-    cost: float
 
 
 def fit_runs(
@@ -140,17 +148,8 @@ def fit_runs(
     if not known:
         size = scales_of(structure, point.paths)
         point = search.at(point.theta, begun, size)
-    point = search.run(point, size, most)
-    return Fit(
-        structure,
-        point.theta,
-        point.starts,
-        scales_of(structure, point.paths),
-        point.cost,
-        point.errors,
-        point.paths,
-        not np.isfinite(point.cost),
-    )
+    point = search.run(point, most)
+    return replace(point, scale=scales_of(structure, point.paths))
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ class _Search:
         scale: FloatArray,
         *,
         first: bool = False,
-    ) -> _Point:
+    ) -> Fit:
         paths = tuple(
             path_of(self.structure, run, theta, start, scale, first=first)
             for run, start in zip(self.runs, starts, strict=True)
@@ -184,7 +183,7 @@ class _Search:
                 for run, start in zip(self.runs, starts, strict=True)
             )
             cost = 0.5 * prior - self.metric.log_likelihood(self._scored(errors))
-        return _Point(theta, starts, paths, errors, cost)
+        return Fit(self.structure, theta, starts, scale, float(cost), errors, paths)
 
     def _scored(self, errors: Sequence[FloatArray]) -> list[FloatArray]:
         return [e[: self.rows] for e in errors]
@@ -193,21 +192,21 @@ class _Search:
         return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
 
     @property
-    def _which(self) -> NDArray[np.int64]:
+    def _which(self) -> IntArray:
         return np.zeros(0, dtype=np.int64) if self.only_starts else self.structure.free
 
-    def run(self, point: _Point, scale: FloatArray, most: int) -> _Point:
+    def run(self, point: Fit, most: int) -> Fit:
         """Search from a point."""
         unknowns = self._which.size + len(self.runs) * len(self.structure.model.states)
         if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
         for _ in range(most):
-            normal, slope = self._normal(point, scale)
+            normal, slope = self._normal(point)
             better = None
             while damping < MOST_DAMPING:
                 step = self._step(point, normal, slope, damping)
-                trial = self.at(*self._moved(point, step), scale)
+                trial = self.at(*self._moved(point, step), point.scale)
                 if trial.cost < point.cost:
                     better = trial
                     break
@@ -222,30 +221,24 @@ class _Search:
                 return point
         return point
 
-    def _normal(self, point: _Point, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _normal(self, point: Fit) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the downhill slope, the starts of runs behind θ."""
         which = self._which
-        m, n_x = which.size, len(self.structure.model.states)
-        size = m + n_x * len(self.runs)
+        m = which.size
+        size = m + len(self.structure.model.states) * len(self.runs)
         normal, slope = np.zeros((size, size)), np.zeros(size)
         metric = self.metric.with_size_of(self._scored(point.errors))
-        steps = parameter_steps(self.structure, point.theta)[which]
-        for r, run in enumerate(self.runs):
-            J = answers(self.structure, run, point.theta, point.paths[r], scale, which, steps)[
-                : self.rows, :, : m + n_x
-            ]
-            white = metric.whitened(J).reshape(-1, m + n_x)
-            error = metric.whitened(point.errors[r][: self.rows]).ravel()
-            at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
+        answers = point.whitened_answers(self.runs, metric, which, self.rows)
+        for (at, J, error), run, start in zip(answers, self.runs, point.starts, strict=True):
+            white, own = J.reshape(-1, at.size), at[m:]
             normal[np.ix_(at, at)] += white.T @ white
-            slope[at] += white.T @ error
-            own = at[m:]
+            slope[at] += white.T @ error.ravel()
             normal[own, own] += 1.0 / run.x0_sd**2
-            slope[own] -= self._prior(run, point.starts[r]) / run.x0_sd
+            slope[own] -= self._prior(run, start) / run.x0_sd
         return normal, slope
 
     def _step(
-        self, point: _Point, normal: FloatArray, slope: FloatArray, damping: float
+        self, point: Fit, normal: FloatArray, slope: FloatArray, damping: float
     ) -> FloatArray:
         """Return a damped step within reach; what would leave its reach stops there.
 
@@ -282,18 +275,18 @@ class _Search:
         """
         which, structure = self._which, self.structure
         low, high = (bound[which] - theta[which] for bound in structure.bounds)
-        first = len(structure.model.params) + len(structure.model.inputs)
-        for e, placed in enumerate(structure.effects):
+        for placed in structure.effects:
+            own = structure.slots_of(placed)
             for slot in range(int(placed.effect.linear), len(placed.effect.numbers)):
                 number = placed.effect.numbers[slot]
                 # What may change its sign must not creep about zero.
                 least = 0.1 * (number.high - number.low) if slot and number.low < 0.0 else 0.02
-                for c in np.flatnonzero(which == first + SLOTS * e + slot):
+                for c in np.flatnonzero(which == own[slot]):
                     size = 0.5 * abs(float(theta[which[c]])) + least
                     low[c], high[c] = max(low[c], -size), min(high[c], size)
         return low, high
 
-    def _moved(self, point: _Point, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    def _moved(self, point: Fit, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
         m, n_x = self._which.size, len(self.structure.model.states)
         low, high = self.structure.bounds
         theta = point.theta.copy()
@@ -306,22 +299,6 @@ class _Search:
             moved[:n_x] = np.clip(moved[:n_x], *self.structure.start_bounds)
             starts.append(moved)
         return theta, tuple(starts)
-
-
-def parameter_steps(structure: Structure, theta: FloatArray) -> FloatArray:
-    """Return steps of θ for differences: a small share of its size, or of its range."""
-    low, high = structure.bounds
-    reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
-    steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
-    if structure.between == "held":
-        # Within a sample a held input does not change: its shift shows over half a sample.
-        first = len(structure.model.params)
-        at = first + len(structure.model.inputs)
-        steps[first:at] = HELD_STEP
-        for e, placed in enumerate(structure.effects):
-            if placed.effect.kind == Kind.INPUT_DELAY:
-                steps[at + SLOTS * e] = HELD_STEP
-    return np.asarray(steps)
 
 
 def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = None) -> Fit:

@@ -74,8 +74,8 @@ class Model(Displayed):
         Parameters of records, as `with_record_parameters` lays them out; not to be given.
     simulate : callable, optional
         A simulation that is a black box, as of `from_simulate`.
-    vectors : mapping of str to int
-        Vectors among the states and their lengths; not to be given.
+    vectors : mapping of str to slice
+        Where the cells of vectors are among the states; not to be given.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class Model(Displayed):
     name: str = "model"
     per_record: Mapping[str, P] = field(default_factory=dict)
     simulate: Callable[..., Any] | None = None
-    vectors: Mapping[str, int] = field(default_factory=dict)
+    vectors: Mapping[str, slice] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         parts = ("states", "inputs", "outputs", "params", "x0", "balance", "per_record", "vectors")
@@ -240,21 +240,15 @@ class Model(Displayed):
     @property
     def state_groups(self) -> dict[str, slice | int]:
         """Where in x each state of the user's is: a number, or the cells of a vector."""
-        out: dict[str, slice | int] = {}
-        names, at = self.state_names[: self.own_states], 0
-        while at < len(names):
-            vector = next((v for v in self.vectors if names[at] == f"{v}_0"), None)
-            if vector is None:
-                out[names[at]], at = at, at + 1
-            else:
-                out[vector] = slice(at, at + self.vectors[vector])
-                at += self.vectors[vector]
-        return out
+        names = enumerate(self.state_names[: self.own_states])
+        alone = {i: (name, i) for i, name in names if i not in self.cells}
+        spans = {span.start: (name, span) for name, span in self.vectors.items()}
+        return dict(group for _, group in sorted({**alone, **spans}.items()))
 
     @property
     def cells(self) -> frozenset[int]:
         """States that are cells of a vector."""
-        spans = (place for place in self.state_groups.values() if isinstance(place, slice))
+        spans = self.vectors.values()
         return frozenset(i for span in spans for i in range(span.start, span.stop))
 
     @property
@@ -319,44 +313,36 @@ def _expand_vectors(model: Model) -> None:
             continue
         good = len(unit) == 2 and isinstance(unit[1], int) and unit[1] >= 1
         _require(good, f"states: {name}", "a unit, or (unit, length)", f"{unit!r}")
-        vectors[name] = unit[1]
+        vectors[name] = slice(len(states), len(states) + unit[1])
         states.update({f"{name}_{i}": unit[0] for i in range(unit[1])})
+    cells = {name: list(states)[span] for name, span in vectors.items()}
     x0: dict[str, Any] = {}
     for name, start in model.x0.items():
-        n = vectors.get(name, 0)
-        if not n:
-            x0[name] = start
-            continue
-        many = isinstance(start, (list, np.ndarray))
-        found = len(start) if many else n
-        _require(found == n, f"x0: {name}", f"{n} values", f"{found}")
-        x0.update({f"{name}_{i}": float(start[i]) if many else start for i in range(n)})
-    exact = [
-        cell
-        for name in model.exact
-        for cell in ([f"{name}_{i}" for i in range(vectors[name])] if name in vectors else [name])
-    ]
+        own = cells.get(name, [name])
+        many = name in cells and isinstance(start, (list, np.ndarray))
+        starts = [float(value) for value in start] if many else [start] * len(own)
+        _require(len(starts) == len(own), f"x0: {name}", f"{len(own)} values", f"{len(starts)}")
+        x0.update(zip(own, starts, strict=True))
+    exact = tuple(cell for name in model.exact for cell in cells.get(name, [name]))
     for part, value in (("states", states), ("x0", x0), ("vectors", vectors)):
         object.__setattr__(model, part, MappingProxyType(value))
-    object.__setattr__(model, "exact", tuple(exact))
+    object.__setattr__(model, "exact", exact)
 
 
 def _check_names(model: Model) -> None:
     seen: set[str] = set()
     for part in ("states", "inputs", "outputs", "params"):
-        names = list(getattr(model, part))
-        needed = part == "outputs" or (part == "states" and model.simulate is None)
-        _require(bool(names) or not needed, part, "at least one", "none")
-        for name in names:
+        given, output = getattr(model, part), part == "outputs"
+        needed = output or (part == "states" and model.simulate is None)
+        _require(bool(given) or not needed, part, "at least one", "none")
+        for name, unit in given.items():
             good = isinstance(name, str) and name.isidentifier() and not name.startswith("_")
             good = good and not keyword.iskeyword(name)
             _require(good, part, "names that are Python identifiers", f"{name!r}")
-            _require(
-                part == "outputs" or name not in seen, part, "each name once", f"{name!r} twice"
-            )
-            seen |= {name} if part != "outputs" else set()
-        for name, unit in getattr(model, part).items() if part != "params" else ():
-            good = isinstance(unit, str) and bool(unit)
+            _require(output or name not in seen, part, "each name once", f"{name!r} twice")
+            if not output:
+                seen.add(name)
+            good = part == "params" or (isinstance(unit, str) and bool(unit))
             _require(good, f"{part}: {name}", "a unit as text, '1' without one", f"{unit!r}")
     both = sorted(set(model.inputs) & set(model.outputs))
     _require(not both, "outputs", "no name that is an input as well", f"{both[:1]!r}")

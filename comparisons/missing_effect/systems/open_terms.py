@@ -8,19 +8,19 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 
-from comparisons.missing_effect.systems.catalogue_parts import (
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Number, SystemEffect
+from comparisons.missing_effect.systems.roles import (
     Places,
     alone,
     always,
     at_outputs,
     every_signal,
-    from_zero,
+    fixed,
     on,
     on_products,
     on_square_products,
 )
-from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Number, SystemEffect
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from surge_core.errors import InputError
 
@@ -52,7 +52,7 @@ def _open(
         "a term without a name",
         (Number("c", -50.0, 50.0),),
         places,
-        from_zero,
+        fixed([0.0]),
         always,
         "",
         unnamed=True,

@@ -10,16 +10,14 @@ import numpy as np
 
 from comparisons.missing_effect.covariance import largest_correlation, sandwich
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.systems.dynamics import SLOTS
-from comparisons.missing_effect.systems.fit import Fit, parameter_steps
+from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from comparisons.missing_effect.systems.simulate import answers
-from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
@@ -38,17 +36,12 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     if fit.failed:
         size = fit.theta.size + len(runs) * len(fit.structure.model.per_record)
         return np.full((size, size), np.nan)
-    own = metric.with_size_of(fit.errors)
-    steps = parameter_steps(fit.structure, fit.theta)[which]
     normal, scores = np.zeros((size, size)), []
     blocks = max(4, SANDWICH_BLOCKS // len(runs))
-    for r, run in enumerate(runs):
-        J = answers(fit.structure, run, fit.theta, fit.paths[r], fit.scale, which, steps)
-        J = own.whitened(J[:, :, : m + n_x])
-        error = own.whitened(fit.errors[r])
-        at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
+    answers = fit.whitened_answers(runs, metric.with_size_of(fit.errors), which)
+    for (at, J, error), run in zip(answers, runs, strict=True):
         for rows in np.array_split(np.arange(run.n_samples), blocks):
-            part = J[rows].reshape(-1, m + n_x)
+            part = J[rows].reshape(-1, at.size)
             normal[np.ix_(at, at)] += part.T @ part
             score = np.zeros(size)
             score[at] = part.T @ error[rows].ravel()
@@ -63,13 +56,6 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     whole = np.zeros((at.size + fit.theta.size - m,) * 2)
     whole[np.ix_(at, at)] = spread[np.ix_(kept, kept)]
     return whole
-
-
-def slots_of(structure: Structure, placed: Placed) -> IntArray:
-    """Return where in θ the numbers of an effect are."""
-    first = len(structure.model.params) + len(structure.model.inputs)
-    index = [e.key for e in structure.effects].index(placed.key)
-    return first + SLOTS * index + np.arange(SLOTS)
 
 
 def numbers_of(
@@ -89,7 +75,7 @@ def numbers_of(
         Of a run: sample period, and middle and half length of the records' span.
     """
     model = fit.structure.model
-    at = int(slots_of(fit.structure, placed)[0])
+    at = int(fit.structure.slots_of(placed)[0])
     out: list[tuple[str, float, float, str]] = []
     for slot, number in enumerate(placed.effect.numbers):
         if placed.held[slot] and not number.held:
@@ -109,7 +95,7 @@ def numbers_of(
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
     """Return the largest correlation of two numbers of one effect; 0 where it has no two."""
-    at = slots_of(fit.structure, placed)[np.flatnonzero([not held for held in placed.held])]
+    at = fit.structure.slots_of(placed)[np.flatnonzero([not held for held in placed.held])]
     return largest_correlation(cov[np.ix_(at, at)])
 
 

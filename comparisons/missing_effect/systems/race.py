@@ -1,8 +1,9 @@
-"""The race: which candidates are worth a fit, and their first steps in the raw metric."""
+"""The race: which candidates are worth a fit, their first steps, and which rivals are rejected."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.score import Answers, Probe
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Structure
+from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray
 
 # Effects that make an input or a reading come late.
@@ -26,6 +27,10 @@ MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
 # steps to the end.
 HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 4, 15
 FLIP_SEED = 0
+# Repeats, whose gaps give a normal tail, and steps of each fit: both begin near their ends.
+REPEATS, STEPS = 20, 3
+# Innovations are drawn in blocks, with either sign.
+BLOCK_ROWS = 20
 
 
 def promising(raw: Answers, white: Answers) -> list[Probe]:
@@ -119,8 +124,7 @@ def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
 def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
     """Return where a fit of one more effect, or of two, may begin."""
     effect, theta = probe.placed.effect, bench.fit.theta
-    first = len(structure.model.params)
-    end = first + len(structure.model.inputs)
+    end = bench.fit.structure.offsets.stop
     slots = _slots(structure, probe)
     if probe.second is not None:
         return [np.concatenate([theta, slots, _slots(structure, probe.second)])]
@@ -131,7 +135,9 @@ def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatA
         out.append(np.concatenate([begun[:end], theta[end:], slots]))
     elif effect.kind in LATE:
         # What comes late through it, the model without it has put down to a timing offset.
-        out.append(np.concatenate([theta[:first], 0.0 * theta[first:end], theta[end:], slots]))
+        untimed = theta.copy()
+        untimed[bench.fit.structure.offsets] = 0.0
+        out.append(np.concatenate([untimed, slots]))
     if effect.numbers and not effect.linear:
         # A threshold in the run of a model that lacks it may be nowhere near the true one.
         others = [start for start in probe.placed.starts if start != probe.start]
@@ -157,3 +163,46 @@ def favoured_metric(bench: Bench, fits: Sequence[Fit]) -> Metric:
 
     good = [bench.fit, *(fit for fit in fits if not fit.failed)]
     return metric_of(max(good, key=held_out).errors)
+
+
+def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.Generator) -> float:
+    """Return the chance of so large an advantage of a name if its rival were the truth.
+
+    The rival is simulated with its own innovations drawn again, both are fitted to it, and the
+    advantage is compared with the one on the record (Cox 1962).
+    """
+    from scipy.stats import norm
+
+    def again(f: Fit, runs: Sequence[Run], starts: Sequence[FloatArray]) -> Fit:
+        return fit_runs(f.structure, runs, metric, f.theta, starts, f.scale, most=STEPS)
+
+    name, rival = (again(f, lane.train, lane.fit.starts) for f in (name, rival))
+    found, gaps = rival.cost - name.cost, []
+    for _ in range(REPEATS if not rival.failed else 0):
+        drawn = [
+            replace(run, outputs=path.outputs + _drawn(errors, metric, rng))
+            for run, path, errors in zip(lane.train, rival.paths, rival.errors, strict=True)
+        ]
+        one, two = (again(f, drawn, f.starts) for f in (name, rival))
+        if np.isfinite(one.cost) and np.isfinite(two.cost):
+            gaps.append(two.cost - one.cost)
+    if len(gaps) < REPEATS // 2:
+        return 1.0
+    spread = max(float(np.std(gaps, ddof=1)), 1e-12)
+    return float(norm.sf((found - float(np.mean(gaps))) / spread))
+
+
+def _drawn(errors: FloatArray, metric: Metric, rng: np.random.Generator) -> FloatArray:
+    """Return errors of the same colour from innovations drawn again in blocks."""
+    from scipy.signal import lfilter
+
+    white = metric.whitened(errors)
+    n = white.shape[0]
+    starts = rng.integers(0, max(n - BLOCK_ROWS, 1), size=n // BLOCK_ROWS + 1)
+    rows = (starts[:, None] + np.arange(BLOCK_ROWS)).ravel()[:n] % n
+    signs = np.repeat(rng.choice([-1.0, 1.0], size=starts.size), BLOCK_ROWS)[:n]
+    out = np.empty_like(errors)
+    for j, (sigma, ar) in enumerate(zip(metric.sigma, metric.ar, strict=True)):
+        drawn = sigma * white[rows, j] * signs
+        out[:, j] = lfilter([1.0], np.concatenate([[1.0], -ar]), drawn)
+    return out

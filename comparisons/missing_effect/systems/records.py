@@ -11,7 +11,7 @@ import numpy as np
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.roles import measured_as, rate_factors, rate_of
+from comparisons.missing_effect.systems.roles import measured_as, rates_of
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -126,7 +126,7 @@ def runs_of(
         Whether they begin where the record does, so that what the model knows of its start holds.
     """
     return tuple(
-        Run.of(records.model, e, between, records.span, known_start(records.model, e, begun=begun))
+        Run.of(records.model, e, between, records.span, _known_start(records.model, e, begun=begun))
         for e in experiments
     )
 
@@ -145,7 +145,7 @@ def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
         that is of each record, any value.
     """
     model = records.model
-    mean, sd = known_start(model, experiment, begun=True)
+    mean, sd = _known_start(model, experiment, begun=True)
     sd = np.where(np.isfinite(sd), sd, fit.scale[: sd.size])
     # The likelihood counts each row as new. Errors that go together for many rows say as much as
     # one: what is known of a record's parameter must weigh against them so much more.
@@ -171,25 +171,17 @@ def _rows_together(fit: Fit) -> float:
     return longest
 
 
-def known_start(
+def _known_start(
     model: Model, experiment: Experiment, *, begun: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is known of the state at the start: values, and infinite errors where nothing.
+    """Return what is known of the state at the start, and its errors: infinite where nothing is.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    experiment : Experiment
-        The stretch.
-    begun : bool
-        Whether it begins where the record does.
+    Begun says whether the stretch begins where its record does.
     """
     mean, sd = np.zeros(len(model.states)), np.full(len(model.states), np.inf)
-    measured, factors = measured_as(model), rate_factors(model)
-    for i, j in rate_of(model).items():
+    measured = measured_as(model)
+    for i, (j, factor) in rates_of(model).items():
         if i in measured:
-            factor = factors[i]
             value, spread = _first_rows(experiment, measured[i])
             mean[i], sd[i] = value[0], spread[0]
             if np.isfinite(factor):
@@ -200,12 +192,9 @@ def known_start(
             if not np.isfinite(sd[i]):
                 values = experiment.channels[measured.get(i, name)]
                 mean[i] = values[np.isfinite(values)][0]
-        elif start is not None and begun:
-            mean[i], sd[i] = start if isinstance(start, tuple) else (start, np.inf)
-        elif isinstance(start, tuple):
-            mean[i] = start[0]
         elif start is not None:
-            mean[i] = start
+            mean[i], known = start if isinstance(start, tuple) else (start, np.inf)
+            sd[i] = known if begun else sd[i]
     return mean, sd
 
 

@@ -14,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.covariance import orthonormal
-from comparisons.missing_effect.systems.fit import Fit, parameter_steps
+from comparisons.missing_effect.systems.fit import Fit
+from comparisons.missing_effect.systems.linearised import Laid
 from comparisons.missing_effect.systems.metric import Metric
-from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.simulate import answers, effect_answers, transitions
+from comparisons.missing_effect.systems.places import (
+    AT_INPUTS,
+    AT_OUTPUTS,
+    Place,
+    Placed,
+    SystemEffect,
+    rms,
+)
+from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
@@ -34,6 +43,10 @@ FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 1000, 0.99, 20, 12
 REMEMBERED = 0.1
 # Columns that are paired, and the cosine from which on two say the same.
 MOST_PAIRED, LARGEST_COSINE = 250, 0.98
+# Rows of a run on which a term of the user's own is sized.
+SIZED_ROWS = 500
+# What acts within a model, where a black box lets nothing in.
+INSIDE = (Kind.TERM, Kind.HYSTERESIS, Kind.STATE_LIMIT, Kind.OVERFLOW)
 
 
 @dataclass(frozen=True)
@@ -176,32 +189,22 @@ class Prober:
         self.fit = fit
         self.runs = tuple(runs)
         structure = fit.structure
-        which = structure.free
-        steps = parameter_steps(structure, fit.theta)[which]
-        n_x = len(structure.model.states)
+        unknowns = structure.free.size + len(structure.model.states)
         self._made: dict[object, list[FloatArray]] = {}
-        self._nuisance = []
-        self._steps = []
-        for run, path in zip(self.runs, fit.paths, strict=True):
-            J = answers(structure, run, fit.theta, path, fit.scale, which, steps)
-            self._nuisance.append(J[:, :, : which.size + n_x])
-            self._steps.append(transitions(structure, run, fit.theta, path, fit.scale))
+        self._along = fit.linearised(self.runs)
+        self._nuisance = [one.to_numbers(structure.free)[:, :, :unknowns] for one in self._along]
 
     def columns(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
         """Return how the outputs would answer, one array of shape (n, n_y) a run."""
         self._lay([(placed, start)])
         return self._made[placed.key, start]
 
-    def _lay(self, laid: Sequence[tuple[Placed, tuple[float, ...]]]) -> None:
+    def _lay(self, laid: Sequence[Laid]) -> None:
         """Make the columns that are not there yet, some at a time, once for all metrics."""
-        fit = self.fit
         new = [(placed, start) for placed, start in laid if (placed.key, start) not in self._made]
         for first in range(0, len(new), LAID_TOGETHER):
             some = new[first : first + LAID_TOGETHER]
-            each = [
-                effect_answers(fit.structure, run, fit.theta, path, fit.scale, steps, some)
-                for run, path, steps in zip(self.runs, fit.paths, self._steps, strict=True)
-            ]
+            each = [one.to_effects(some) for one in self._along]
             for c, (placed, start) in enumerate(some):
                 self._made[placed.key, start] = [columns[:, :, c] for columns in each]
 
@@ -256,6 +259,123 @@ class Prober:
             row[:, m + n_x * r : m + n_x * (r + 1)] = white[:, m:]
             blocks.append(row)
         return orthonormal(np.concatenate(blocks), LEAST_BASIS, 0.0)
+
+
+def placed_effects(
+    fit: Fit, runs: Sequence[Run], effects: Sequence[SystemEffect]
+) -> tuple[list[Placed], dict[str, str]]:
+    """Return all effects at all their places, scaled by the model's runs.
+
+    Returns
+    -------
+    placed : list of Placed
+        Those that the signals can show and that the model has not.
+    refused : dict of str to str
+        Effects that cannot be shown at any place, and why.
+    """
+    signals = _Signals(fit, runs)
+    present = {e.key for e in fit.structure.effects}
+    placed: list[Placed] = []
+    refused: dict[str, str] = {}
+    for effect in effects:
+        if fit.structure.model.simulate is not None and effect.kind in INSIDE:
+            refused.setdefault(effect.name, "acts inside the simulation, which is out of reach")
+        for place in effect.places(fit.structure.model):
+            own, measured = signals.of(effect, place)
+            scaled = measured / rms(measured)
+            why = "needs a signal that changes"
+            if float(np.ptp(measured)) > 0.0:
+                why = effect.refused(own / rms(own), scaled)
+            if why:
+                refused.setdefault(effect.name, why)
+                continue
+            one = signals.placed(effect, place, effect.starts(scaled))
+            if one is not None and one.key not in present:
+                placed.append(one)
+    for one in placed:
+        refused.pop(one.name, None)
+    return placed, refused
+
+
+class _Signals:
+    """Signals and equations along the runs of a model, for scales."""
+
+    def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
+        n_x = len(fit.structure.model.states)
+        self.model = fit.structure.model
+        self.theta = fit.theta
+        every = [path.states[::FINE, :n_x] for path in fit.paths]
+        self.states = np.concatenate(every)
+        names = self.model.input_names
+        self.inputs = np.concatenate([run.experiment.columns(names) for run in runs])
+        self.outputs = np.concatenate([run.outputs for run in runs])
+        self.simulated = np.concatenate([path.outputs for path in fit.paths])
+        h = runs[0].sample_period_s
+        self.slopes = np.concatenate([np.gradient(x, h, axis=0) if n_x else x for x in every])
+
+    def of(self, effect: SystemEffect, place: Place) -> tuple[FloatArray, FloatArray]:
+        """Return the signal that an effect acts on in the model, and as it was measured."""
+        if effect.kind in AT_OUTPUTS:
+            measured = self.outputs[:, place.at]
+            return self.simulated[:, place.at], measured[np.isfinite(measured)]
+        if effect.kind in AT_INPUTS:
+            values = self.inputs[:, place.at]
+        elif effect.expression is not None:
+            values = self._expression(effect)
+        elif place.signal >= 0:
+            values = self._signal(place.signal)
+        else:
+            # Constants, drifts and the recorder act on no signal that could be at fault.
+            values = np.array([1.0, -1.0])
+        return values, values
+
+    def _signal(self, index: int) -> FloatArray:
+        n_x = self.states.shape[1]
+        return self.states[:, index] if index < n_x else self.inputs[:, index - n_x]
+
+    def _expression(self, effect: SystemEffect) -> FloatArray:
+        assert effect.expression is not None
+        function = effect.expression(self.model)
+        p = tuple(self.theta[: len(self.model.params)].tolist())
+        rows = range(0, len(self.states), max(1, len(self.states) // SIZED_ROWS))
+        return np.array(
+            [
+                function(0.0, *self.model.groups(tuple(self.states[k]), tuple(self.inputs[k]), p))
+                for k in rows
+            ],
+            dtype=np.float64,
+        )
+
+    def placed(
+        self, effect: SystemEffect, place: Place, starts: tuple[tuple[float, ...], ...]
+    ) -> Placed | None:
+        """Return an effect with its scales; None for a centred form that is the plain one."""
+        one = Placed(effect, place, self._scales(effect, place), starts)
+        if not effect.centred:
+            return one
+        indices = (place.signal, place.other)
+        signals = [self._signal(i) if i >= 0 else np.zeros(1) for i in indices]
+        centres = [float(np.mean(s)) if np.min(s) * np.max(s) > 0.0 else 0.0 for s in signals]
+        if not any(centres):
+            return None
+        own, other = (rms(s - c) for s, c in zip(signals, centres, strict=True))
+        return replace(one, scales=(one.scales[0], own, other), centres=(centres[0], centres[1]))
+
+    def _scales(self, effect: SystemEffect, place: Place) -> tuple[float, float, float]:
+        """Return the scales of what it enters, of its signal, and of a second one or a time."""
+        if effect.kind == Kind.DRIFT:
+            value = abs(float(self.theta[place.at]))
+            return value if value > 0.0 else 1.0, 1.0, 1.0
+        own = rms(self.of(effect, place)[1])
+        if effect.kind not in (Kind.TERM, Kind.HYSTERESIS):
+            return 1.0, own, 1.0
+        into = rms(self.slopes[:, place.at])
+        if effect.name == "gravity" and place.signal >= 0:
+            own = 1.0
+        if effect.kind == Kind.HYSTERESIS:
+            return into, own, own / rms(self.slopes[:, place.signal])
+        other = rms(self._signal(place.other)) if place.other >= 0 else 1.0
+        return into, own, other
 
 
 def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:

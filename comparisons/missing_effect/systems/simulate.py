@@ -1,43 +1,46 @@
-"""A run of the extended system, and how it answers to changes.
+"""A run of the extended system, or of a black box with effects around it.
 
-How a run answers to a change of parameters, start or structure is the linearised system along it
-(`linearised`).
+LSODA, as CyRK has it in machine code, changes between Adams and BDF formulas by itself and controls
+its step, so stiff and non-smooth right-hand sides survive. Where it gives up, Radau's implicit
+method tries.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 
-from comparisons.missing_effect.systems.black_box import black_box_outputs
-from comparisons.missing_effect.systems.dynamics import System, extended_output, scratch_for
-from comparisons.missing_effect.systems.integrate import integrated
-from comparisons.missing_effect.systems.linearised import (
-    FINE,
-    along,
-    forced,
-    output_slopes,
-    parameter_forcing,
-    propagators,
-    terms_along,
+from comparisons.missing_effect.systems.dynamics import (
+    PLAY_SAMPLES,
+    SLOTS,
+    System,
+    extended_output,
+    extended_rhs,
+    scratch_for,
 )
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
+from comparisons.missing_effect.systems.shapes import Kind, map_value
 from comparisons.missing_effect.systems.structure import Run, Structure
+from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
+# Points a sample on which a run is kept, and at which a lag or a play around a black box follows
+# its signal.
+FINE = 4
 RUNAWAY = 1e4
-# Of the coefficients of the recording filter.
-FILTER_STEP = 1e-4
-# Amplitude at which an effect that is linear in it is laid along the run.
-SMALL = 1e-4
-# Steps of differences of a black box over those of a model that is integrated here: what runs
-# within it rounds as it likes.
-BLACK_BOX_STEP = 100.0
+METHODS = ("LSODA", "RADAU")
+# Longest step, in points of the grid (four a sample): the integrator must not stride over a pulse
+# of the input after a quiet stretch.
+LONGEST_STEP = 3.0
+# Steps a point, beyond which a run is given up.
+MOST_STEPS = 50
+MOST_MEGABYTES = 4000
+# What a black box that fails for some parameters may raise.
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -86,26 +89,31 @@ def path_of(
         Whether the sizes are not known yet, so that no state can be said to run away.
     """
     if structure.model.simulate is not None:
-        return _black_box(structure, run, theta, start)
+        return black_box_path(structure, run, theta, start)
     fine_s = run.sample_period_s / FINE
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
-    n_y = run.outputs.shape[1]
     bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
     system = run.system(structure, theta)
-    states = integrated(times, start, bound, structure.tolerance, scale, system)
+    packed = np.concatenate([run.clock, bound, theta, system[2]])
+    tolerances = structure.tolerance, structure.tolerance * np.asarray(scale, dtype=np.float64)
+    states = None
+    for method in METHODS if np.all(np.isfinite(start)) else ():
+        states = _integrated(method, times, start, packed, tolerances, system)
+        if states is not None:
+            break
     if states is not None:
-        outputs = structure.recorded(_outputs(states, system, n_y), theta)
+        outputs = structure.recorded(outputs_along(states, system), theta)
         if np.all(np.isfinite(outputs)):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
-    return Path(empty, np.full((run.n_samples, n_y), np.nan), True)
+    return Path(empty, np.full(run.outputs.shape, np.nan), True)
 
 
-def _black_box(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> Path:
+def black_box_path(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> Path:
     """Return a run of a black box: its states are the parameters of its record."""
     rows = FINE * (run.n_samples - 1) + 1
     states = np.tile(start[: len(structure.model.states)], (rows, 1))
-    outputs = structure.recorded(black_box_outputs(structure, run, theta, start), theta)
+    outputs = structure.recorded(_black_box_outputs(structure, run, theta, start), theta)
     failed = not np.all(np.isfinite(outputs))
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
 
@@ -130,198 +138,221 @@ def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _outputs(states: FloatArray, system: System, n_y: int) -> FloatArray:
+def outputs_along(states: FloatArray, system: System) -> FloatArray:
+    """Return the outputs at the samples of a run on the fine grid, shape (n, n_y)."""
     n = (states.shape[0] - 1) // FINE + 1
-    out, scratch = np.empty((n, n_y)), scratch_for(system[1])
+    out, scratch = np.empty((n, system[1][5])), scratch_for(system[1])
     for k in range(n):
         extended_output(k * system[4][1], states[FINE * k], system, out[k], scratch)
     return out
 
 
-def answers(
-    structure: Structure,
-    run: Run,
-    theta: FloatArray,
-    path: Path,
-    scale: FloatArray,
-    which: NDArray[np.int64],
-    steps: FloatArray,
-) -> FloatArray:
-    """Return how a run's outputs answer to each parameter and to each state at the start.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        Inputs and clock.
-    theta : ndarray
-        Where.
-    path : Path
-        The run there.
-    scale : ndarray of shape (n_X,)
-        Size of each state.
-    which : ndarray of int, shape (m,)
-        Numbers of θ.
-    steps : ndarray of shape (m,)
-        Steps of their differences.
-
-    Returns
-    -------
-    ndarray of shape (n, n_y, m + n_X)
-    """
-    if structure.model.simulate is not None:
-        return _read(run, _differences(structure, run, theta, path, which, steps))
-    system = run.system(structure, theta)
-    whole, half = propagators(path.states, system, scale)
-    n_X, m = structure.n_states, which.size
-    forcing = np.zeros((path.states.shape[0], n_X, m + n_X))
-    forcing[:, :, :m] = parameter_forcing(path.states, system, which, steps)
-    n_y = run.outputs.shape[1]
-    direct = np.zeros((run.n_samples, n_y, m + n_X))
-    filter_at = structure.recording
-    for c in (
-        [] if filter_at is None else np.flatnonzero((which >= filter_at) & (which <= filter_at + 1))
-    ):
-        forcing[:, :, c], direct[:, :, c] = _filter_forcing(
-            structure, run, theta, path, int(which[c])
-        )
-    start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
-    moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
-    slopes = output_slopes(path.states, moved, system, (which, steps), scale, n_y)
-    return _read(run, structure.recorded(slopes, theta) + direct)
+@cfunc(types.void(NUMBERS, types.float64, NUMBERS, INTEGERS), cache=True)
+def _slope(out: Any, t: float, state: Any, given: Any) -> None:
+    """Fill dX/dt; not a number where the state has run away, so that the integrator gives up."""
+    n = given[0]
+    ints = carray(integers_at(given[1]), (given[2],))
+    packed = carray(numbers_at(given[3]), (given[4],))
+    pieces = carray(numbers_at(given[5]), (given[6], given[7], 4))
+    X = carray(state, (n,))
+    gone = False
+    for i in range(n):
+        if not abs(X[i]) <= packed[4 + i]:
+            gone = True
+    if gone:
+        for i in range(n):
+            out[i] = np.nan
+        return
+    at = 4 + n
+    n_theta = ints[4] + ints[3] + SLOTS * ints[7]
+    theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
+    scratch = carray(numbers_at(given[8]), (given[9],))
+    dX = carray(out, (n,))
+    extended_rhs(t, X, (theta, ints, floats, pieces, packed[:4]), dX, scratch)
 
 
-def _read(run: Run, columns: FloatArray) -> FloatArray:
-    """Return columns that are not a number where the run has no reading."""
-    columns[~run.valid] = np.nan
-    return columns
+def _at(array: Any) -> tuple[int, int]:
+    return array.ctypes.data, array.size
 
 
-def _filter_forcing(
-    structure: Structure, run: Run, theta: FloatArray, path: Path, which: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return ∂f/∂θ through the undone input filter, and how the outputs' filter answers."""
-    above, below = theta.copy(), theta.copy()
-    above[which] += FILTER_STEP
-    below[which] -= FILTER_STEP
-    system, n_y = run.system(structure, theta), run.outputs.shape[1]
-    changed, unchanged = (
-        (*system[:3], run.pieces_for(structure, side), run.clock) for side in (above, below)
+def _integrated(
+    method: str,
+    times: FloatArray,
+    start: FloatArray,
+    packed: FloatArray,
+    tolerances: tuple[float, FloatArray],
+    system: System,
+) -> FloatArray | None:
+    """Return the states at evenly spaced times, or None where a method gives up."""
+    from CyRK.nb import numba_solver as cyrk
+
+    # The callback gets one block of bytes: the addresses of everything else.
+    _, ints, _, pieces, _ = system
+    scratch = scratch_for(ints)
+    sizes = pieces.shape[:2]
+    where = [*_at(ints), *_at(packed), pieces.ctypes.data, *sizes, *_at(scratch)]
+    given = np.array([start.size, *where], dtype=np.int64)
+    begun = np.array(start, dtype=np.float64)
+    relative, absolute = np.array(tolerances[:1]), tolerances[1]
+    step_s = float(times[1] - times[0])
+    result = cyrk.c_numba_cysolve_ivp(
+        _slope.address,
+        float(times[0]),
+        float(times[-1]),
+        *_at(begun),
+        cyrk.find_ode_method_int(method),
+        times.size,
+        0,
+        *(given.ctypes.data, given.nbytes),
+        MOST_STEPS * times.size,
+        MOST_MEGABYTES,
+        False,
+        *_at(times),
+        *(0, 0, 0),
+        *_at(relative),
+        *_at(absolute),
+        LONGEST_STEP * step_s,
+        0.0,
+        True,
     )
-    forcing, direct = along(path.states, 0.0, False, changed, unchanged, n_y)
-    bare = _outputs(path.states, system, n_y)
-    through = structure.recorded(bare, above) - structure.recorded(bare, below)
-    direct = structure.recorded(direct, theta) + through
-    return forcing[:, :, 0] / (2.0 * FILTER_STEP), direct / (2.0 * FILTER_STEP)
+    try:
+        whole = bool(cyrk.c_get_success(result)) and cyrk.c_get_size(result) == times.size
+        if not whole:
+            return None
+        shape = (times.size, start.size)
+        states = np.ctypeslib.as_array(cyrk.c_get_y_ptr(result), shape).copy()
+    finally:
+        cyrk.c_free(result)
+    return states if np.all(np.isfinite(states)) else None
 
 
-def _differences(
+def _black_box_outputs(
+    structure: Structure, run: Run, theta: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Return the outputs of a black box, not a number where it failed, from its record's start."""
+    from scipy.interpolate import CubicSpline
+
+    model = structure.model
+    effects = [(placed, theta[structure.slots_of(placed)]) for placed in structure.effects]
+    inputs = _inputs(structure, run, theta, effects)
+    drifts = [
+        (placed.place.at, float(slots[0]) * placed.scales[0])
+        for placed, slots in effects
+        if placed.effect.kind == Kind.DRIFT and slots[0] != 0.0
+    ]
+    t = run.sample_period_s * np.arange(run.n_samples, dtype=np.float64)
+    # A drift is slow: at each time the outputs are those of a run with the parameters as they are
+    # then, between three runs.
+    outputs = np.zeros(run.outputs.shape)
+    along: FloatArray = (t + run.clock[0] - run.clock[2]) / run.clock[3]
+    for node in (-1.0, 0.0, 1.0) if drifts else (0.0,):
+        p = theta[: len(model.params)].copy()
+        for at, rate in drifts:
+            p[at] += rate * node
+        share: FloatArray = np.ones(t.size)
+        for other in (-1.0, 0.0, 1.0) if drifts else ():
+            if other != node:
+                share = share * (along - other) / (node - other)
+        outputs += share[:, None] * _simulated(structure, t, inputs, p, start)
+    for placed, slots in effects:
+        j = placed.place.at
+        if placed.effect.kind == Kind.OUTPUT_MAP:
+            outputs[:, j] = _mapped(placed, outputs[:, j], slots)
+        elif placed.effect.kind == Kind.OUTPUT_LAG and np.all(np.isfinite(outputs)):
+            rows = np.arange(t.size, dtype=np.float64)
+            finer = CubicSpline(rows, outputs[:, j])(np.arange(FINE * (t.size - 1) + 1) / FINE)
+            outputs[:, j] = _lagged(finer, FINE * float(slots[0]))[::FINE]
+    return outputs
+
+
+def _simulated(
+    structure: Structure, t: FloatArray, inputs: FloatArray, p: FloatArray, start: FloatArray
+) -> FloatArray:
+    model = structure.model
+    assert model.simulate is not None
+    _, u, params = model.groups(tuple(start), tuple(inputs), tuple(p))
+    shape = (t.size, len(model.outputs))
+    try:
+        found: Any = model.simulate(t, u, params)
+    except FAILURES:
+        return np.full(shape, np.nan)
+    if isinstance(found, tuple):
+        found = np.column_stack(found)
+    values = np.asarray(found, dtype=np.float64)
+    if values.ndim == 1:
+        values = values[:, None]
+    if values.shape != shape:
+        raise InputError(
+            "model: simulate",
+            expected=f"outputs of shape {shape}, as many rows as times",
+            found=f"shape {values.shape}",
+        )
+    return values
+
+
+def _inputs(
     structure: Structure,
     run: Run,
     theta: FloatArray,
-    path: Path,
-    which: NDArray[np.int64],
-    steps: FloatArray,
+    effects: list[tuple[Placed, FloatArray]],
 ) -> FloatArray:
-    """Return how a black box answers to each parameter, and to those of its record."""
-    start, out = path.states[0], []
-    ranges = [p.high - p.low for p in structure.model.per_record.values()]
-    moved = [*(BLACK_BOX_STEP * steps), *(SMALL * size for size in ranges)]
-    for c, step in enumerate(moved):
-        sides = []
-        for side in (step, -step):
-            at, begun = theta.copy(), start.copy()
-            if c < which.size:
-                at[which[c]] += side
-            else:
-                begun[c - which.size] += side
-            sides.append(_black_box(structure, run, at, begun).outputs)
-        out.append((sides[0] - sides[1]) / (2.0 * step))
-    return np.stack(out, axis=2) if out else np.zeros((*run.outputs.shape, 0))
-
-
-def transitions(
-    structure: Structure, run: Run, theta: FloatArray, path: Path, scale: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the transition matrices along a run; None for a black box, which has none.
-
-    Parameters
-    ----------
-    structure, run, theta, path, scale
-        As of `answers`.
-    """
-    if structure.model.simulate is not None:
-        return None
-    return propagators(path.states, run.system(structure, theta), scale)
-
-
-def effect_answers(
-    structure: Structure,
-    run: Run,
-    theta: FloatArray,
-    path: Path,
-    scale: FloatArray,
-    steps: tuple[FloatArray, FloatArray] | None,
-    laid: Sequence[tuple[Placed, tuple[float, ...]]],
-) -> FloatArray:
-    """Return how the outputs of a run would answer to each of some effects, to first order.
-
-    Parameters
-    ----------
-    structure, run, theta, path, scale
-        As of `answers`.
-    steps : tuple of ndarray, or None
-        Of `transitions`.
-    laid : sequence of (Placed, tuple of float)
-        Effects at their places and their numbers; an amplitude is replaced by a small one.
-
-    Returns
-    -------
-    ndarray of shape (n, n_y, effects)
-    """
-    direct = np.zeros((*run.outputs.shape, len(laid)))
-    forcing = np.zeros((*path.states.shape, len(laid)))
-    terms = [c for c, (placed, _) in enumerate(laid) if placed.effect.kind == Kind.TERM]
-    if terms and steps is not None:
-        added = tuple(laid[c][0] for c in terms)
-        extended = replace(structure, effects=(*structure.effects, *added))
-        slots = [structure.slots((1.0, *laid[c][1][1:])) for c in terms]
-        forcing[:, :, terms] = terms_along(
-            path.states,
-            run.system(structure, theta),
-            run.system(extended, np.concatenate([theta, *slots])),
-            len(structure.effects),
+    """Return the inputs at the samples as the system sees them, shape (n_u, n)."""
+    pieces = run.pieces_for(structure, theta)
+    times = np.arange(FINE * (run.n_samples - 1) + 1) / FINE
+    out = np.empty((len(structure.model.inputs), times.size))
+    per_sample = 4 if structure.between == "band" else 1
+    for j in range(out.shape[0]):
+        late = float(theta[len(structure.model.params) + j]) + sum(
+            float(slots[0])
+            for placed, slots in effects
+            if placed.effect.kind == Kind.INPUT_DELAY and placed.place.at == j
         )
-    for c, (placed, start) in enumerate(laid):
-        if c in terms:
-            continue
-        extended = structure.with_effect(placed)
-        size = SMALL if placed.effect.linear else 1.0
-        slots_of = (SMALL, *start[1:]) if placed.effect.linear else start
-        theta_new = np.concatenate([theta, extended.slots(slots_of)])
-        if steps is None:
-            with_it = _black_box(extended, run, theta_new, path.states[0]).outputs
-            direct[:, :, c] = (with_it - path.outputs) / size
-            continue
-        forced_by, seen = along(
-            path.states,
-            float(own_starts(extended, run, path.states[0])[-1]),
-            placed.effect.own_state,
-            run.system(extended, theta_new),
-            run.system(structure, theta),
-            run.outputs.shape[1],
-        )
-        # The answer through the recording filter, and what a new one does to the run itself.
-        seen = structure.recorded(seen, theta)
-        if placed.effect.kind == Kind.RECORDING:
-            seen += extended.recorded(path.outputs, theta_new) - path.outputs
-        forcing[:, :, c], direct[:, :, c] = forced_by[:, :, 0] / size, seen / size
-    if steps is None:
-        return _read(run, direct)
-    begun = np.zeros((structure.n_states, len(laid)))
-    moved = forced(*steps, forcing, begun, run.sample_period_s / FINE)
-    nothing = (np.zeros(0, dtype=np.int64), np.zeros(0))
-    system, n_y = run.system(structure, theta), run.outputs.shape[1]
-    slopes = output_slopes(path.states, moved, system, nothing, scale, n_y)
-    return _read(run, structure.recorded(slopes, theta) + direct)
+        at = (times - late) * per_sample
+        i = np.clip(np.floor(at).astype(np.int64), 0, pieces.shape[1] - 1)
+        s = np.clip(at - i, 0.0, 1.0)
+        c = pieces[j, i].T
+        out[j] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+    for placed, slots in effects:
+        j, kind = placed.place.at, placed.effect.kind
+        if kind == Kind.INPUT_MAP:
+            out[j] = _mapped(placed, out[j], slots)
+        elif kind == Kind.INPUT_LAG:
+            out[j] = _lagged(out[j], FINE * float(slots[0]))
+        elif kind == Kind.INPUT_PLAY:
+            out[j] = _followed(out[j], float(slots[0]) * placed.scales[1])
+    return out[:, ::FINE]
+
+
+def _mapped(placed: Placed, values: FloatArray, slots: FloatArray) -> FloatArray:
+    return _all_mapped(placed.effect.code, values, placed.scales[1], float(slots[0]))
+
+
+@njit(cache=True, error_model="numpy")
+def _all_mapped(code: int, values: FloatArray, scale: float, a: float) -> FloatArray:
+    out = np.empty(values.size)
+    for k in range(values.size):
+        out[k] = map_value(code, values[k], scale, a)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _followed(values: FloatArray, gap: float) -> FloatArray:
+    """Return what follows a drive through a play ± gap, as fast as it does in equations."""
+    out, now = np.empty(values.size), values[0]
+    share = 1.0 - np.exp(-1.0 / (FINE * PLAY_SAMPLES))
+    for k in range(values.size):
+        off = 0.5 * (values[max(k - 1, 0)] + values[k]) - now
+        now += share * (max(off - gap, 0.0) + min(off + gap, 0.0))
+        out[k] = now
+    return out
+
+
+def _lagged(values: FloatArray, tau: float) -> FloatArray:
+    """Return values behind a first-order lag of τ samples, straight between samples."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-1.0 / max(tau, 1e-3)))
+    share = max(tau, 1e-3) * (1.0 - kept)
+    taps = [1.0 - share, share - kept]
+    # At rest at the first value.
+    return np.asarray(lfilter(taps, [1.0, -kept], values, zi=share * values[:1])[0])

@@ -5,22 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.missing_effect.systems.compiled import compiled, expression_address
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
-from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
+from comparisons.missing_effect.systems.experiments import Experiment, all_pass, input_pieces
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.shapes import Kind
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 # A timing offset of an input beyond one sample is a delay, and has to be named.
 MOST_OFFSET = 1.0
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
 # off by 2e-4 of their swing.
 FIRST_TOLERANCE = 1e-5
+# Of differences: a share of a number's size, or of its range; and of a shift of a held input, which
+# within a sample does not change: it shows over half a sample.
+RELATIVE_STEP, HELD_STEP = 1e-5, 0.5
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Structure:
         return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
 
     @property
-    def ints(self) -> NDArray[np.int64]:
+    def ints(self) -> IntArray:
         """Layout for the kernels."""
         model = self.model
         head = [
@@ -117,7 +118,7 @@ class Structure:
         return low, high
 
     @property
-    def free(self) -> NDArray[np.int64]:
+    def free(self) -> IntArray:
         """Which numbers of θ are fitted."""
         held = [False] * len(self.model.params)
         late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
@@ -127,14 +128,36 @@ class Structure:
             held += [*placed.held, *[True] * (SLOTS - len(numbers))]
         return np.flatnonzero(~np.array(held))
 
+    def steps(self, theta: FloatArray) -> FloatArray:
+        """Return steps of θ for differences: a small share of its size, or of its range."""
+        low, high = self.bounds
+        reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
+        steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
+        if self.between == "held":
+            steps[self.offsets] = HELD_STEP
+            for placed in self.effects:
+                if placed.effect.kind == Kind.INPUT_DELAY:
+                    steps[self.slots_of(placed)[0]] = HELD_STEP
+        return np.asarray(steps)
+
+    @property
+    def offsets(self) -> slice:
+        """Where in θ the timing offsets of the inputs are."""
+        first = len(self.model.params)
+        return slice(first, first + len(self.model.inputs))
+
+    def slots_of(self, placed: Placed) -> IntArray:
+        """Return where in θ the numbers of one of its effects are."""
+        index = [e.key for e in self.effects].index(placed.key)
+        first = self.offsets.stop + SLOTS * index
+        return np.arange(first, first + SLOTS)
+
     @property
     def recording(self) -> int | None:
         """Where in θ the recording filter's α and β are; None without one."""
-        at = len(self.model.params) + len(self.model.inputs)
         for placed in self.effects:
             if placed.effect.kind == Kind.RECORDING:
-                return at
-            at += SLOTS
+                return int(self.slots_of(placed)[0])
         return None
 
     def recorded(self, outputs: FloatArray, theta: FloatArray) -> FloatArray:
@@ -227,5 +250,5 @@ class Run:
 
 def _laid(inputs: FloatArray, between: str) -> FloatArray:
     """Return inputs, side by side, between their samples, shape (n_u, m, 4)."""
-    made = [input_pieces(values, between)[0] for values in inputs.T]
+    made = [input_pieces(values, between) for values in inputs.T]
     return np.ascontiguousarray(np.stack(made)) if made else np.zeros((0, 1, 4))

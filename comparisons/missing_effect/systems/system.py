@@ -16,11 +16,14 @@ from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.quantities import slots_of
-from comparisons.missing_effect.systems.race import FLIP_SEED, favoured_metric, promising, raced
-from comparisons.missing_effect.systems.rivals import rejected
-from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.race import (
+    FLIP_SEED,
+    favoured_metric,
+    promising,
+    raced,
+    rejected,
+)
+from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import FloatArray
 
@@ -168,7 +171,7 @@ class ModelSystem(System[Placed, Fit]):
         """
         bench, structure, own = self.bench, self.fit.structure, metric_of(self.fit.errors)
         moved = bench.refitted(
-            structure.without(one), np.delete(bench.fit.theta, slots_of(self.fit.structure, one))
+            structure.without(one), np.delete(bench.fit.theta, self.fit.structure.slots_of(one))
         )
         moved = replace(moved, white=None)
         lost = whitened_fit(moved, moved.fit, own).cost - self._own_cost
@@ -191,7 +194,7 @@ class ModelSystem(System[Placed, Fit]):
             effects_then = [c.added[0] if e.key == one.key else e for e in self.found]
             structure = replace(self.fit.structure, effects=tuple(effects_then))
             theta = self.fit.theta.copy()
-            theta[slots_of(self.fit.structure, one)] = c.fit.theta[-SLOTS:]
+            theta[self.fit.structure.slots_of(one)] = c.fit.theta[-SLOTS:]
             swapped = self.bench.refitted(structure, theta)
             bare, own = replace(self.bench, white=None), metric_of(self.fit.errors)
             if whitened_fit(bare, swapped.fit, own).cost < self._own_cost + LEAST_LOST:

@@ -7,11 +7,12 @@ import pytest
 import system_models as make
 import system_truths as truth
 
-from comparisons.missing_effect.systems.fit import parameter_steps, scales_of
+from comparisons.missing_effect.systems.fit import scales_of
+from comparisons.missing_effect.systems.linearised import Linearised
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from comparisons.missing_effect.systems.simulate import answers, own_starts, path_of
+from comparisons.missing_effect.systems.simulate import own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 
 TIGHT = 1e-9
@@ -97,8 +98,7 @@ def worst(structure: Structure, theta: np.ndarray, run: Run, begun: np.ndarray) 
     scale = scales_of(structure, [first])
     path = path_of(structure, run, theta, start, scale)
     which = structure.free
-    steps = parameter_steps(structure, theta)[which]
-    columns = answers(structure, run, theta, path, scale, which, steps)
+    columns = Linearised(structure, run, theta, path, scale).to_numbers(which)
 
     def outputs(moved: np.ndarray, at: np.ndarray) -> np.ndarray:
         return path_of(structure, run, moved, at, scale).outputs

@@ -11,12 +11,12 @@ import system_truths as truth
 from scipy.signal import lsim
 
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
-from comparisons.missing_effect.systems.fit import parameter_steps
+from comparisons.missing_effect.systems.linearised import Linearised
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import covariance
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.simulate import answers, path_of
+from comparisons.missing_effect.systems.simulate import path_of
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.errors import InputError
 
@@ -98,8 +98,7 @@ def test_the_answers_of_a_black_box_are_its_differences() -> None:
     theta, start = np.array([0.05, 2e-3, 0.2]), np.array([3.0])
     path = path_of(structure, run, theta, start, np.ones(1))
     which = structure.free
-    steps = parameter_steps(structure, theta)[which]
-    columns = answers(structure, run, theta, path, np.ones(1), which, steps)
+    columns = Linearised(structure, run, theta, path, np.ones(1)).to_numbers(which)
     assert columns.shape == (300, 1, 4)
     for c, (index, step) in enumerate(((0, 1e-4), (1, 1e-5), (2, 1e-2), (None, 1e-2))):
         sides = []

@@ -20,8 +20,8 @@ from comparisons.missing_effect.systems.roles import (
     free_equations,
     measured_as,
     physical,
-    rate_of,
     rates,
+    rates_of,
 )
 from comparisons.missing_effect.systems.simulate import path_of
 from comparisons.missing_effect.systems.structure import Structure
@@ -161,7 +161,7 @@ def test_a_bad_record_is_refused_in_one_sentence(case: str) -> None:
 def test_displacements_and_rates_follow_from_exact_equations() -> None:
     model = Model(**GOOD)
     assert free_equations(model) == (1,)
-    assert rate_of(model) == {0: 1}
+    assert rates_of(model) == {0: (1, 1.0)}
     assert displacements(model) == (0,)
     assert rates(model) == (1,)
     assert measured_as(model) == {0: "y"}
@@ -169,7 +169,7 @@ def test_displacements_and_rates_follow_from_exact_equations() -> None:
 
 def test_without_exact_equations_every_state_is_either() -> None:
     model = Model(**{**GOOD, "exact": ()})
-    assert rate_of(model) == {}
+    assert rates_of(model) == {}
     assert displacements(model) == rates(model) == free_equations(model) == (0, 1)
 
 

@@ -11,16 +11,19 @@ import system_truths as truth
 from made_systems import STATES, fit_of, machine, placed_at
 
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE, find_system_effect
-from comparisons.missing_effect.systems.catalogue_parts import against_storing
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS, open_effect
 from comparisons.missing_effect.systems.places import Place, Placed
-from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
-from comparisons.missing_effect.systems.roles import displacements, rate_factors, rate_of, rates
-from comparisons.missing_effect.systems.score import Probe, Prober
+from comparisons.missing_effect.systems.roles import (
+    against_storing,
+    displacements,
+    rates,
+    rates_of,
+)
+from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 from comparisons.missing_effect.systems.units import product_of_units
@@ -249,10 +252,10 @@ def test_a_definition_may_be_scaled() -> None:
         exact=("q", "r", "s"),
         balance={},
     )
-    assert rate_of(model) == {0: 3, 1: 3}
-    factors = rate_factors(model)
-    assert factors[0] == pytest.approx(0.25)
-    assert np.isnan(factors[1])
+    found = rates_of(model)
+    assert {i: j for i, (j, _) in found.items()} == {0: 3, 1: 3}
+    assert found[0][1] == pytest.approx(0.25)
+    assert np.isnan(found[1][1])
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,11 @@ from scipy.signal import lfilter
 
 from comparisons.missing_effect.systems.bench import base_bench
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
-from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.experiments import Experiment, all_pass
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import covariance
-from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.records import Records, check_run
 from comparisons.missing_effect.systems.structure import Structure
 

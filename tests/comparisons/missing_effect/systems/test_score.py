@@ -14,8 +14,7 @@ from comparisons.missing_effect.systems.fit import Fit, fit_runs
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.score import Probe, Prober
+from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure

@@ -14,7 +14,7 @@ import system_truths as truth
 
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.model import Model, P
-from comparisons.missing_effect.systems.roles import measured_as, rate_of
+from comparisons.missing_effect.systems.roles import measured_as, rates_of
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.errors import InputError
 
@@ -111,7 +111,7 @@ def test_a_unit_is_a_model(version: int, library: Path) -> None:
     assert (model.name, model.inputs, model.outputs) == ("body", {"F": "N"}, {"q": "m"})
     assert model.params == {"c": P(1.5, 0.01, 500.0, "N.s/m"), "k": P(80.0, 0.01, 500.0, "N/m")}
     assert dict(model.x0) == {"body_x": 0.05, "body_v": 0.0}
-    assert (rate_of(model), measured_as(model)) == ({0: 1}, {0: "q"})
+    assert (rates_of(model), measured_as(model)) == ({0: (1, 1.0)}, {0: "q"})
     dx, y = model.evaluate(0.0, (0.2, 0.5), (3.0,), (2.0, 70.0))
     wanted = (3.0 - 2.0 * 0.5 - 70.0 * 0.2 - 600.0 * 0.2**3) / 2.0
     assert (dx, y) == ((0.5, pytest.approx(wanted)), (0.2,))
