@@ -16,15 +16,7 @@ from surge_core.errors import InputError
 
 @dataclass(frozen=True)
 class BaseTerms:
-    """Terms of a base characteristic, and those that could not be taken over.
-
-    Parameters
-    ----------
-    terms : tuple of str
-        Names whose functions are known.
-    dropped : tuple of str
-        Names of another form, which were left out.
-    """
+    """Terms of a base characteristic, and those left out because their function is not known."""
 
     terms: tuple[str, ...]
     dropped: tuple[str, ...] = ()
@@ -34,11 +26,6 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
     """Return the terms that the sparse regression finds on the rows that a diagnosis fits.
 
     The rows that the diagnosis holds out take no part: else the structure would know them.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        As for :func:`comparisons.missing_effect.diagnose`.
 
     Raises
     ------

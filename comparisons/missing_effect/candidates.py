@@ -338,16 +338,7 @@ def _on_all_rows(every: Bench, candidate: LagCandidate) -> LagCandidate:
 def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> FloatArray:
     """Return the best of a start and its neighbours, for the thresholds of effects that switch.
 
-    Parameters
-    ----------
-    structure : Structure
-        The model.
-    data : LagData
-        Rows; where one turns back just at a threshold, no slope leads over the jump.
-    metric : Metric
-        On these rows.
-    start : ndarray of shape (p,)
-        log τ and the parameters of the effects.
+    Where a row turns back just at a threshold, no slope leads over the jump.
     """
     trials = [start]
     reach = data.phi_range[1] - data.phi_range[0]

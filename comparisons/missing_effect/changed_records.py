@@ -67,22 +67,11 @@ CHANGES = (
 
 
 def changed(data: LagData, change: Change) -> LagData:
-    """Return rows as an experiment would leave them that differs by a change, ψ' unknown.
+    """Return rows as an experiment would leave them that differs by a change, ψ' unknown (zero).
 
     φ passes through the recorded values at another pace; where a record ends it goes back the way
-    it came. Temperature and speed keep their slow trend with the clock, and their swing with φ.
-
-    Parameters
-    ----------
-    data : LagData
-        The rows that were recorded.
-    change : Change
-        What is done otherwise.
-
-    Returns
-    -------
-    LagData
-        All scored rows to be fitted; its measured coefficient is zero.
+    it came. Temperature and speed keep their slow trend with the clock, and their swing with φ. All
+    scored rows are to be fitted.
     """
     scored = data.scored()
     phi = data.sampled(data["phi"])[scored]

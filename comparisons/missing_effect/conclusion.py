@@ -69,14 +69,12 @@ def concluded(
         The verdict where nothing was found.
     doubts : tuple of str
         Why no name is firm.
-    noise : NoiseModel
-        Of the model after.
+    noise, floor_rms : NoiseModel, float
+        Of the model after; the measurement noise.
     left : tuple of two ndarray of shape (n,)
         Errors before and after of all rows, held-out ones by fits to others.
     held : ndarray of bool, shape (n,)
         Rows that were held out.
-    floor_rms : float
-        Measurement noise.
     """
     before = base.on_all_rows(base.fit)
     after = final.on_all_rows(final.fit) if final.found else before

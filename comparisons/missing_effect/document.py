@@ -77,19 +77,10 @@ def diagnosis_document(
 
 
 def rmse_of(runs: Sequence[CheckRun]) -> Errors:
-    """Return the rms errors of runs, before and after.
+    """Return the rms errors of runs before and after: ``{split: {"before", "after", "unit"}}``.
 
-    Parameters
-    ----------
-    runs : sequence of CheckRun
-        The runs.
-
-    Returns
-    -------
-    dict of dict
-        ``{split: {"before", "after", "unit"}}``; a split is a record's name, with
-        ``"{output}_"`` before it where the model has several outputs. In the output's unit, or in
-        thousandths of it where that reads better.
+    A split is a record's name, with ``"{output}_"`` before it where the model has several outputs.
+    Errors are in the output's unit, or in thousandths of it where that reads better.
     """
     out: Errors = {}
     for run in runs:

@@ -155,13 +155,7 @@ class Effect:
         return False
 
     def missing_channel(self, data: LagData) -> str | None:
-        """Return why the effect cannot be separated from these records, or None.
-
-        Parameters
-        ----------
-        data : LagData
-            The records.
-        """
+        """Return why the effect cannot be separated from these records, or None."""
         if not self.needs:
             return None
         if self.needs not in data:

@@ -13,16 +13,10 @@ from surge_core.types import FloatArray
 
 
 def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tuple[float, float]]:
-    """Return the errors on all rows of a fit to the fitted ones.
+    """Return the errors on all rows of a fit to the fitted ones, and what phases cost.
 
     The phase of a ripple means nothing in another episode: where it was not fitted it is fitted
-    again, at the amplitude of the rest, and costs one log-unit.
-
-    Returns
-    -------
-    errors : ndarray of shape (n,)
-    costs : tuple of float
-        Log-units paid for phases in later time and in the other record.
+    again, at the amplitude of the rest, and costs one log-unit, in later time or another record.
     """
     ripple = next((effect for effect in fit.structure.effects if effect.episodes), None)
     if ripple is None:

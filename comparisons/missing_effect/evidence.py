@@ -181,13 +181,10 @@ def evidence_of(
         Parts and blocks.
     before, after : ndarray of shape (n,)
         Whitened errors without and with it, by fits to the fitted rows alone.
-    added : int
-        Numbers that it fitted in addition.
-    searched : float
-        How many independent trials the search was worth, all candidates counted.
+    added, searched : int, float
+        Numbers that it fitted in addition, and how many trials the search was worth.
     episodes : tuple of float
-        Log-units taken off the gain on later time and on the other record for phases that had to
-        be fitted there.
+        Log-units that phases fitted on later time and on the other record cost.
     one_sided : float
         What held-out blocks may lose, as a share of what the others win, where the effect may act
         in episodes alone.
@@ -250,25 +247,9 @@ def alias_rows(
     scores: Sequence[float],
     tie: Tie = ALIAS,
 ) -> list[bool]:
-    """Tell which of several accepted candidates these rows cannot tell from the best.
+    """Return which of several candidates these rows cannot tell from the best, and which is it.
 
-    Parameters
-    ----------
-    rows : Rows
-        Blocks.
-    base : ndarray of shape (n,)
-        Whitened errors of the model without any.
-    errors : sequence of ndarray of shape (n,)
-        Of each candidate.
-    scores : sequence of float
-        Of each candidate.
-    tie : Tie
-        When two look alike.
-
-    Returns
-    -------
-    list of bool
-        True for the best and for those that stand beside it.
+    ``base`` are the whitened errors of the model without any, ``errors`` those of each candidate.
     """
     best = 0 if scores[0] >= max(scores) else int(np.argmax(scores))
     out = []

@@ -36,18 +36,9 @@ def surge_frequency_hz(phi: FloatArray, sample_rate_hz: float) -> float:
 def amplitude_of(phi: FloatArray, sample_rate_hz: float, *, prolonged: bool = True) -> FloatArray:
     """Return the amplitude of the analytic signal of φ, low-passed well below the surge frequency.
 
-    Both ends of the record are prolonged by linear prediction first: the analytic signal and the
-    low-pass look many cycles ahead and back, and what they would make of an end is wrong by tens
-    of percent.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient of one record.
-    sample_rate_hz : float
-        Its sample rate.
-    prolonged : bool
-        False takes the record as it stands, ends and all.
+    Both ends of the record are prolonged by linear prediction first, unless it is to be taken as it
+    stands: the analytic signal and the low-pass look many cycles ahead and back, and what they
+    would make of an end is wrong by tens of percent.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, hilbert, sosfiltfilt

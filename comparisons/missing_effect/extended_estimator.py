@@ -103,12 +103,7 @@ def extended_specs(
 ) -> tuple[EstimatorSpec, ...]:
     """Return how models read from a file take part in a comparison: refitted, structure kept.
 
-    Parameters
-    ----------
-    models : mapping of str to ExtendedLag
-        By name.
-    taken : collection of str
-        Names of the other estimators; a model of such a name is called ``extended_…``.
+    One whose name another estimator has (``taken``) is called ``extended_…``.
     """
     specs = []
     for key, model in models.items():

@@ -48,10 +48,7 @@ class FreeRun:
     def started(self, labels: IntArray) -> FloatArray:
         """Return what the measured starts add: it dies away with the lag.
 
-        Parameters
-        ----------
-        labels : ndarray of shape (n_rows,)
-            Of the record's rows; where they change within a run, it starts again.
+        Where the labels of the record's rows change within a run, it starts again.
         """
         out = np.zeros(self.free.size)
         for run in self.data.slices:

@@ -156,21 +156,11 @@ def fit_structure(
     metric: Metric,
     starts: Sequence[FloatArray],
 ) -> Fit:
-    """Fit τ, terms and effects jointly, from the best of several starts.
+    """Fit τ, terms and effects jointly to all scored rows, from the best of several starts.
 
-    Gauss-Newton on the parameters that are not linear, with the linear ones solved at each step
-    (variable projection, Kaufman's slopes) and a trust factor; stays within the bounds.
-
-    Parameters
-    ----------
-    structure : Structure
-        What is fitted.
-    data : LagData
-        Rows; all that are scored are fitted.
-    metric : Metric
-        How errors are weighed.
-    starts : sequence of ndarray of shape (p,)
-        Starts of log τ and the parameters of the effects.
+    Gauss-Newton on log τ and the other parameters that are not linear, with the linear ones solved
+    at each step (variable projection, Kaufman's slopes) and a trust factor; stays within the
+    bounds.
     """
     fits = [_descend(structure, data, metric, start) for start in starts]
     # Starts may differ in how many columns they bring. Half a log-unit for each, what noise alone

@@ -177,13 +177,7 @@ class LagData:
         return out
 
     def of_exit(self, change_Pa: FloatArray) -> FloatArray:
-        """Return at the samples what a change of P31, of shape (N,), makes of ψ' from raw counts.
-
-        Parameters
-        ----------
-        change_Pa : ndarray of shape (N,)
-            On the fine grid, in pascal.
-        """
+        """Return at the samples what a change of P31, on the fine grid, makes of ψ'."""
         change = (change_Pa * self.signals["psi_p_per_Pa"])[:, None]
         return self.sampled(self.averaged(change)[:, 0])
 

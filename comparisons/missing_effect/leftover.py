@@ -77,14 +77,7 @@ def leftover_of(
 ) -> Leftover:
     """Test the errors of a model for anything that open terms and effects could still explain.
 
-    Parameters
-    ----------
-    prober : Prober
-        Score tests against the model, fitted to all rows.
-    part : ndarray of int, shape (n,)
-        What was fitted and held out before.
-    effects, open_terms : sequence of Effect
-        What may be left.
+    The prober's model is fitted to all rows; ``part`` says which were fitted and held out before.
     """
     present = set(prober.fit.structure.names)
     probes = [

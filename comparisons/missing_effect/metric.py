@@ -112,14 +112,7 @@ class Metric:
     def seen(self, columns: FloatArray, decay: FloatArray, data: LagData) -> FloatArray:
         """Return columns in this metric, with the unknown start of each run projected out.
 
-        Parameters
-        ----------
-        columns : ndarray of shape (n, q) or (n,)
-            Answers or errors.
-        decay : ndarray of shape (n,)
-            What a start that is off by one leaves.
-        data : LagData
-            Rows and runs.
+        ``decay`` is what a start that is off by one leaves at each sample.
         """
         return projected(self.whitened(columns, data), self.whitened(decay, data), data)
 

@@ -78,20 +78,9 @@ def noise_of(
     slope: FloatArray | None = None,
     tau_s: float = 0.0,
 ) -> NoiseModel:
-    """Describe the noise by the errors of a model.
+    """Describe the noise by the errors of a model: measured minus simulated, starts taken off.
 
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Measured minus simulated, starts taken off.
-    scored : ndarray of bool, shape (n,)
-        Which count.
-    data : LagData
-        Their runs.
-    slope : ndarray of shape (n,), optional
-        Slope of the characteristic at each sample; without it noise on φ is not looked for.
-    tau_s : float
-        Time constant, in seconds.
+    Noise on φ is looked for where the slope of the characteristic at each sample is given.
     """
     rows = scored & (data.weight > 0.0)
     robust = _scale(errors[rows])

@@ -73,10 +73,8 @@ def foretold(
 
     Parameters
     ----------
-    errors : sequence of ndarray of shape (n,)
-        One output's errors of each run.
-    signals : sequence of ndarray of shape (n, m)
-        Inputs and simulated states of each run.
+    errors, signals : sequence of ndarray of shape (n,) and (n, m)
+        One output's errors of each run; inputs and simulated states of each run.
     names : sequence of str
         Of the signals.
     rng : Generator
@@ -84,10 +82,8 @@ def foretold(
 
     Returns
     -------
-    p_value : float
-        Chance of so much foretold.
-    share : float
-        Share of the squared errors that is foretold beyond what chance foretells.
+    p_value, share : float
+        Chance of so much foretold; share of the squared errors foretold beyond chance.
     follows : str
         The signal, or product of two, that the errors follow most.
     """

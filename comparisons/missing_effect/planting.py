@@ -177,12 +177,7 @@ class Planter:
         return self.data.with_measured(clean + self.source.draw(rng))
 
     def promise(self, clean: FloatArray) -> tuple[float, float]:
-        """Return what an effect leaves once the model without it is fitted again.
-
-        Parameters
-        ----------
-        clean : ndarray of shape (n,)
-            What :meth:`planted` gave.
+        """Return what an effect as planted leaves once the model without it is fitted again.
 
         Returns
         -------

@@ -137,19 +137,7 @@ class Response:
 def respond(
     ports: Ports, data: LagData, tau_s: float, nuisance: FloatArray | None = None
 ) -> Response:
-    """Return the answer to every input column, at the samples.
-
-    Parameters
-    ----------
-    ports : Ports
-        Of the model.
-    data : LagData
-        Grid and runs.
-    tau_s : float
-        Time constant, in seconds.
-    nuisance : ndarray of shape (N, k), optional
-        In place of the nuisance columns of the data.
-    """
+    """Return the answer to every input column at the samples; nuisances in place of the data's."""
     driven = ports.driven
     if "stalled" in data:
         driven = driven * data["stalled"][:, None]

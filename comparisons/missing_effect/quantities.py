@@ -61,14 +61,9 @@ def symbol(parameter: str) -> str:
 
 
 def quantity(value: float, stderr: float, unit: str) -> str:
-    """Return a number with its standard error and unit.
+    """Return a number with its standard error and unit; small times are written in ms.
 
-    Parameters
-    ----------
-    value, stderr : float
-        In the unit.
-    unit : str
-        SI; ``"1"`` without one. Small times are written in ms; an error that is not known is NaN.
+    An error that is not known is NaN.
     """
     factor, shown = _read_in(value, unit)
     value, stderr = factor * value, factor * stderr
@@ -80,15 +75,7 @@ def quantity(value: float, stderr: float, unit: str) -> str:
 
 
 def size_words(value: float, unit: str) -> str:
-    """Return a size in the unit that is easiest read, to the two digits that are known of it.
-
-    Parameters
-    ----------
-    value : float
-        The size.
-    unit : str
-        SI; ``"1"`` without one.
-    """
+    """Return a size in the unit that is easiest read, to the two digits that are known of it."""
     factor, shown = _read_in(value, unit)
     return f"{float(significant(factor * value, 2)):g} {shown}".rstrip()
 

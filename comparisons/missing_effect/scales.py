@@ -34,15 +34,7 @@ class Scale:
         self.unit = "" if unit == "1" else unit
 
     def text(self, value: float, digits: int = 3) -> str:
-        """Return a number of the model's unit in this one, with the unit.
-
-        Parameters
-        ----------
-        value : float
-            The number.
-        digits : int
-            Significant digits.
-        """
+        """Return a number of the model's unit in this one, with the unit."""
         number = significant(value * self.factor, digits)
         joined = "·" if self.unit.startswith("10") else " "
         return f"{number}{joined}{self.unit}" if self.unit else number
@@ -54,15 +46,7 @@ class Scale:
 
 
 def scale_of(unit: str, sizes: Iterable[float]) -> Scale:
-    """Return the unit in which numbers of some sizes read well.
-
-    Parameters
-    ----------
-    unit : str
-        As in the model.
-    sizes : iterable of float
-        Of the numbers; the largest finite one decides.
-    """
+    """Return the unit in which numbers of some sizes read well; the largest decides."""
     finite = [abs(size) for size in sizes if math.isfinite(size)]
     largest = max(finite, default=1.0)
     match = re.match(r"([^\W\d_]+)(?=$|/|·)", unit)
@@ -77,12 +61,6 @@ def scale_of(unit: str, sizes: Iterable[float]) -> Scale:
 
 
 def typical(sizes: Iterable[float]) -> float:
-    """Return the geometric mean of sizes that differ by much; 1 where none is known.
-
-    Parameters
-    ----------
-    sizes : iterable of float
-        Such as errors before and after.
-    """
+    """Return the geometric mean of sizes that differ by much; 1 where none is known."""
     known = [math.log(size) for size in sizes if math.isfinite(size) and size > 0.0]
     return math.exp(sum(known) / len(known)) if known else 1.0

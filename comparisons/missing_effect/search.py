@@ -85,17 +85,7 @@ def search(
 def search_round(
     system: System[A, F], effects: Sequence[Any], library: Sequence[Any], room: int = 2
 ) -> Round[A, F]:
-    """Try everything that may be added to a model.
-
-    Parameters
-    ----------
-    system : System
-        The model and its records.
-    effects, library : sequence
-        Names, and terms without one.
-    room : int
-        At most so many are added.
-    """
+    """Try everything that may be added to a model, at most ``room`` effects at once."""
     race = system.tried(effects, library)
     bench: System[A, F] = race.system
     ranked = bench.ranked([bench.weighed(c) for c in race.candidates if len(c.added) <= room])

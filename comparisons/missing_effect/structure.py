@@ -155,20 +155,9 @@ class Structure:
         coefficients: FloatArray,
         which: Sequence[int],
     ) -> FloatArray:
-        """Return the derivative of the answer with respect to parameters that are not linear.
+        """Return the derivative of the answer with respect to some parameters that are not linear.
 
-        Parameters
-        ----------
-        data : LagData
-            Signals.
-        nonlinear, coefficients : ndarray
-            Where.
-        which : sequence of int
-            Which of ``nonlinear``.
-
-        Returns
-        -------
-        ndarray of shape (n, len(which))
+        ``which`` are their places in ``nonlinear``, a column each.
         """
         here = self.ports(data, nonlinear)
         base = self.answer(data, here, nonlinear, coefficients)

@@ -18,12 +18,7 @@ SYMBOLS = {"psi_p": "ψ'", "phi": "φ"}
 def describe(where: Where, *, two: bool) -> tuple[str, ...]:
     """Return a sentence for each panel with its strongest row, and one on how it was judged.
 
-    Parameters
-    ----------
-    where : Where
-        The rows.
-    two : bool
-        Whether the models before and after differ.
+    ``two`` says whether the models before and after differ.
     """
     output = SYMBOLS.get(where.of.output, where.of.output)
     panels = (_of_time(where, two), _of_frequency(where), _of_signal(where))

@@ -320,22 +320,8 @@ def nulls_of(
 ) -> Nulls:
     """Measure twins of the records, and fit every effect to them.
 
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        In the order of their clocks.
-    readings : sequence of RecordReading
-        Of each.
-    bench : WholeRuns
-        The model without any of them, and the rows.
-    effects : sequence of Effect
-        Names that compete.
-    without : ndarray of shape (N,)
-        On the fine rows, what ψ' has of an effect that is not to be in the twins.
-    n_twins : int
-        How many.
-    progress : callable
-        Wraps the iteration over the twins.
+    ``bench`` is the model without any of them; ``without`` is, on the fine rows, what ψ' has of an
+    effect that is not to be in the twins.
     """
     twins = []
     for number, reading in enumerate(readings):

@@ -48,20 +48,11 @@ def _branched(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 
 def on_branch(phi: FloatArray, low: float, high: float, data: LagData) -> FloatArray:
-    """Return S: 1 from φ < low until φ > high, in each run by itself.
+    """Return S on the fine grid: 1 from φ < low until φ > high, in each run by itself.
 
     The step in which a threshold is crossed counts by its share, so that the thresholds can be
     known to less than a step. Before its first crossing a run stands where its φ tells, or on the
     side that it crosses away from.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (N,)
-        φ on the fine grid.
-    low, high : float
-        The thresholds.
-    data : LagData
-        Its runs.
     """
     state = np.full(phi.size, -1.0)
     state[phi < low] = 1.0
@@ -112,18 +103,9 @@ def _shaped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def shape_columns(
     phi: FloatArray, phi_range: tuple[float, float], intervals: int, n_base: int
 ) -> FloatArray:
-    """Return cubic splines of φ that no cubic in φ holds; constant beyond the range.
+    """Return cubic splines of φ that no cubic in φ holds; constant beyond the range of the knots.
 
-    Parameters
-    ----------
-    phi : ndarray of shape (N,)
-        Flow coefficient.
-    phi_range : tuple of float
-        Range over which the knots lie.
-    intervals : int
-        Intervals between knots.
-    n_base : int
-        Terms of the base; a base of degree below three leaves its missing powers to the splines.
+    A base of fewer terms than a cubic's (``n_base``) leaves its missing powers to the splines.
     """
     low, high = phi_range
     at = (phi - low) / (high - low)

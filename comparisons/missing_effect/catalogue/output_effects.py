@@ -58,15 +58,7 @@ def _ripple(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 
 def stall_episodes(data: LagData, gate: float) -> list[slice]:
-    """Return the stretches of samples in stall: by ``in_stall``, else by φ below a threshold.
-
-    Parameters
-    ----------
-    data : LagData
-        The records.
-    gate : float
-        The threshold of φ; nothing where the state is known.
-    """
+    """Return the stretches of samples in stall: by ``in_stall``, else by φ below ``gate``."""
     if "in_stall" in data:
         state = data.sampled(data["in_stall"]) > 0.5
     elif "stalled" in data:
