@@ -53,18 +53,8 @@ LagRound = Round[Effect, Fit]
 class Bench(System[Effect, Fit]):
     """Records, the model that stands so far, and the metric in which candidates are weighed.
 
-    Parameters
-    ----------
-    data : LagData
-        All records.
-    fit : Fit
-        Of the model so far, to the fitted rows.
-    metric : Metric
-        On all rows.
-    block_rows : int
-        Rows of a block.
-    n_names : int
-        Names that compete.
+    The fit is to the fitted rows, the metric one on all rows; ``block_rows`` are the rows of a
+    block, ``n_names`` the names that compete.
     """
 
     data: LagData

@@ -296,18 +296,10 @@ class System(ABC, Generic[A, F]):
 
 @dataclass(frozen=True, eq=False)
 class Tried(Generic[A, F]):
-    """What came out of a race.
+    """What came out of a race: the model in the metric of the best, and what was fitted in it.
 
-    Parameters
-    ----------
-    system : System
-        The model in the metric of the best.
-    candidates : sequence of Candidate
-        Fitted in that metric, not weighed yet.
-    others : sequence of Candidate
-        Those that promised too little, where they are listed too.
-    refused : mapping of str to str
-        Effects that no signal can show, and why.
+    ``others`` promised too little, where they are listed; ``refused`` says why no signal can show
+    an effect.
     """
 
     system: Any

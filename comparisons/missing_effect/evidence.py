@@ -35,13 +35,9 @@ LEAST_BLOCK_ROWS = 20
 class Tie:
     """When rows do not tell two models apart.
 
-    Parameters
-    ----------
-    gap, share : float
-        They are as close as this in log-units, or as this share of the better one's; or
-    z, cosine : float
-        the better one is ahead by fewer standard errors, block by block, and both correct the
-        model without them at this cosine or more.
+    They are as close as ``gap`` in log-units or as ``share`` of the better one's; or the better one
+    is ahead by fewer standard errors than ``z``, block by block, and both correct the model without
+    them at this cosine or more.
     """
 
     gap: float
@@ -55,17 +51,7 @@ ALIAS = Tie(LEAST_GAP, LEAST_GAP_SHARE, 2.33, 0.7)
 
 @dataclass(frozen=True)
 class Rows:
-    """Which rows are fitted and which are held out, and their blocks.
-
-    Parameters
-    ----------
-    part : ndarray of int, shape (n,)
-        0 fitted, 1 later time, 2 another record.
-    valid : ndarray of bool, shape (n,)
-        Rows that count.
-    block : ndarray of int, shape (n,)
-        Block of each row; no block lies in two parts.
-    """
+    """Which rows count, which part each is of, and its block; no block lies in two parts."""
 
     part: NDArray[np.int8]
     valid: NDArray[np.bool_]

@@ -19,16 +19,9 @@ LEAST_START_ROWS = 4
 
 @dataclass(frozen=True)
 class FreeRun:
-    """A model on the rows of one record.
+    """A model on the rows of one record, in the references of the model.
 
-    Parameters
-    ----------
-    data : LagData
-        The rows, in the references of the model.
-    fit : Fit
-        The model.
-    at : ndarray of int, shape (n,)
-        Row of the record that each sample stands for.
+    ``at`` is the row of the record that each sample stands for.
     """
 
     data: LagData

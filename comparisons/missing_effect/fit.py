@@ -102,18 +102,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class Solution:
-    """The linear parameters at given others.
+    """The linear parameters at given others, and the errors that they leave in the metric.
 
-    Parameters
-    ----------
-    coefficients : ndarray of shape (q,)
-        The linear parameters.
-    errors : ndarray of shape (n,)
-        In the metric.
-    basis : ndarray of shape (n, r)
-        Orthonormal basis of what the linear parameters can move.
-    decay : ndarray of shape (n,)
-        What a start leaves.
+    ``basis`` spans what they can move, orthonormally; ``decay`` is what a start leaves.
     """
 
     coefficients: FloatArray

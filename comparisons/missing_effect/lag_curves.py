@@ -24,15 +24,7 @@ SETTLING_TAUS = 5.0
 
 @dataclass(frozen=True)
 class Curve:
-    """A quasi-steady characteristic.
-
-    Parameters
-    ----------
-    label : str
-        What it holds for; empty where it is the only one.
-    phi, value : ndarray of shape (n,)
-        Flow coefficient and ψ'_QS.
-    """
+    """A quasi-steady characteristic ψ'_QS over φ; its label is empty where it is the only one."""
 
     label: str
     phi: FloatArray

@@ -79,18 +79,10 @@ _LEFTOVER = ("gain", "degrees", "p_value", "structured")
 
 @dataclass(frozen=True)
 class ReverseLoss:
-    """What the lag model leaves in reversed flow, and the loss that explains it.
+    """What the lag model leaves in reversed flow (``left``), and the loss c φ² that explains it.
 
-    Parameters
-    ----------
-    squared : ndarray of shape (n,)
-        φ² of the reversed rows, averaged as ψ' is.
-    left : ndarray of shape (n,)
-        Measured minus simulated ψ' there.
-    size : float
-        c of the loss c φ².
-    share : float
-        Share of the squares of ``left`` that it explains.
+    ``squared`` is φ² of the reversed rows, averaged as ψ' is; ``size`` is c, ``share`` the share of
+    the squares of ``left`` that the loss explains.
     """
 
     squared: FloatArray

@@ -16,16 +16,10 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class FlowNoise:
-    """White noise on φ, as the lag passes it on into the errors.
+    """White noise on φ, as the discrete lag (a, now, before) passes it on into the errors.
 
-    Parameters
-    ----------
-    a, now, before : float
-        The discrete lag.
-    slope : ndarray of shape (n,)
-        Slope of the characteristic at each sample.
-    ratio : float
-        Variance of the noise on φ over that of the noise on the coefficient.
+    ``slope`` is that of the characteristic at each sample, ``ratio`` the variance of the noise on φ
+    over that of the noise on the coefficient.
     """
 
     a: float

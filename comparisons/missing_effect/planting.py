@@ -35,16 +35,9 @@ LARGEST_ROOT = 0.995
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Noise as a fit's errors show it, drawn again.
+    """Noise as a fit's errors show it, drawn again for some rows.
 
-    Parameters
-    ----------
-    white : ndarray of shape (m,)
-        What is new in each error, in units of the coefficient.
-    noise : NoiseModel
-        Colour, and noise on φ.
-    data : LagData
-        Rows that it is drawn for.
+    ``white`` is what is new in each error, in units of the coefficient.
     """
 
     white: FloatArray
@@ -107,16 +100,7 @@ class NoiseSource:
 class Planter:
     """A fitted model of a user's records, into which effects are planted.
 
-    Parameters
-    ----------
-    fit : Fit
-        To all rows; what it holds stays in.
-    data : LagData
-        The rows.
-    source : NoiseSource
-        Noise like theirs.
-    sigma : float
-        Standard deviation of one error.
+    The fit is to all rows, and what it holds stays in; ``sigma`` is the deviation of one error.
     """
 
     fit: Fit

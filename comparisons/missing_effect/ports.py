@@ -117,16 +117,10 @@ def n_powers(terms: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class Response:
-    """What the model gives at the samples, column by column.
+    """What the model gives at the samples: a column for each linear coefficient, and what has none.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, q)
-        One a linear coefficient: inputs of the lag, nuisances, what is added behind it.
-    decay : ndarray of shape (n,)
-        What is left, at each sample, of a start of its run that is off by one.
-    known : ndarray of shape (n,) or float
-        What the model adds to them without a coefficient.
+    Columns are inputs of the lag, nuisances, and what is added behind it; ``decay`` is what is left
+    of a start of its run that is off by one.
     """
 
     columns: FloatArray

@@ -63,17 +63,7 @@ class Probe:
 
 
 class Prober:
-    """Score tests against one fitted model.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    data : LagData
-        What it was fitted to, with the state that open terms need.
-    metric : Metric
-        Of the fit.
-    """
+    """Score tests against one model, fitted to these data (with the state of open terms)."""
 
     def __init__(self, fit: Fit, data: LagData, metric: Metric) -> None:
         self.fit, self.data, self.metric = fit, data, metric

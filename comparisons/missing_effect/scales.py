@@ -19,15 +19,7 @@ PLAIN_BELOW = 1e-2
 
 
 class Scale:
-    """A factor to a unit that reads well.
-
-    Parameters
-    ----------
-    factor : float
-        Times a number in the model's unit.
-    unit : str
-        The unit then; empty for a pure number.
-    """
+    """A factor to a unit that reads well; the unit is empty for a pure number."""
 
     def __init__(self, factor: float, unit: str) -> None:
         self.factor = factor

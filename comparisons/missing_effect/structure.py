@@ -22,16 +22,9 @@ TERMS, NUISANCE = "terms", "nuisance"
 
 @dataclass(frozen=True)
 class Structure:
-    """Terms of the characteristic and effects, without numbers.
+    """Names of the terms s_i(φ) and the effects that are added to the lag, without numbers.
 
     The parameters that are not linear stand in one vector: log τ first, then those of each effect.
-
-    Parameters
-    ----------
-    terms : tuple of str
-        Names of the terms s_i(φ).
-    effects : tuple of Effect
-        What is added to the lag model.
     """
 
     terms: tuple[str, ...]

@@ -152,17 +152,7 @@ class BandRow:
 
 @dataclass(frozen=True)
 class Cell:
-    """A mean over some rows.
-
-    Parameters
-    ----------
-    mean, stderr : float
-        Mean and its standard error from the sums of blocks; NaN where there are too few.
-    z : float
-        Of the mean against zero: that of a t of so many blocks.
-    n : int
-        Rows.
-    """
+    """A mean over n rows: its standard error from the sums of blocks, and z, that of a t."""
 
     mean: float
     stderr: float
@@ -172,15 +162,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class SignalRow:
-    """A range of the signal.
+    """A range of the signal, with the residual in all of its rows ("any"), rising and falling.
 
-    Parameters
-    ----------
-    low, high, at : float
-        Its ends, and the mean of the signal between them.
-    before, after : mapping of str to Cell
-        The residual in all rows of the range ("any"), and where the signal is "rising" and
-        "falling".
+    ``at`` is the mean of the signal between its ends.
     """
 
     low: float

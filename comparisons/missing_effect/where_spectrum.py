@@ -31,15 +31,7 @@ LINE_FOOT = 0.25
 
 @dataclass(frozen=True)
 class Line:
-    """A narrow line.
-
-    Parameters
-    ----------
-    frequency_hz : float
-        Where.
-    z : float
-        How far it stands out of its neighbourhood, all frequencies and widths counted.
-    """
+    """A narrow line, and how far it stands out, all frequencies and widths counted."""
 
     frequency_hz: float
     z: float
@@ -47,18 +39,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Power:
-    """A power density, averaged over runs and tapers.
+    """A one-sided power density, averaged over runs and tapers, in the squared unit a hertz.
 
-    Parameters
-    ----------
-    frequency_hz, density : ndarray of shape (m,)
-        From zero to half the sample rate; one-sided, in the squared unit a hertz.
-    bin_freedom : float
-        Degrees of freedom of one value.
-    per_hz : float
-        Degrees of freedom of a mean over a hertz.
-    resolution_hz : float
-        The narrowest band that the typical run can tell.
+    Degrees of freedom are those of one value and of a mean over a hertz; the resolution is the
+    narrowest band that the typical run can tell.
     """
 
     frequency_hz: FloatArray

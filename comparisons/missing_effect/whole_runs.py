@@ -134,15 +134,7 @@ class Null:
 
 @dataclass(frozen=True)
 class Nulls:
-    """What twins of the records leave.
-
-    Parameters
-    ----------
-    by_effect : mapping of str to Null
-        Of each effect; empty where no twins were measured.
-    rms : float
-        Rms error of the model, mean over the twins.
-    """
+    """What each effect reads of twins (empty without twins), and their mean rms error."""
 
     by_effect: Mapping[str, Null]
     rms: float
@@ -155,14 +147,9 @@ NO_NULLS = Nulls({}, np.nan)
 class WholeRuns(Bench):
     """Whole runs as the search works on them: all rows fitted, all errors weighed alike.
 
-    Parameters
-    ----------
-    nulls : Nulls
-        What each effect reads of twins; without any, chance decides.
-    named : frozenset of str
-        What was found, and all that these records do not tell from it.
-    log_tau : float
-        Of the fit to both branches, in which each has a curve of its own.
+    Without nulls of twins chance decides; ``named`` is what was found, and all that these records
+    do not tell from it; ``log_tau`` is that of the fit to both branches, in which each has a curve
+    of its own.
     """
 
     policy: Policy = WHOLE_RUNS
