@@ -14,13 +14,7 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
-from comparisons.missing_effect.results import (
-    CORRELATION,
-    SIZE,
-    Gap,
-    MissingEffect,
-    ParameterRow,
-)
+from comparisons.missing_effect.results import CORRELATION, SIZE, Gap, MissingEffect, ParameterRow
 from comparisons.missing_effect.search import verdict_of
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,

@@ -20,13 +20,13 @@ from comparisons.missing_effect.extended_parts import (
     REVERSE,
     SHAPE,
     AddedEffect,
+    FreeRun,
     FrozenReferences,
     by_record,
     finite,
     on_segments,
     rows_in,
 )
-from comparisons.missing_effect.extended_run import FreeRun
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import n_powers

@@ -17,16 +17,12 @@ from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_curves import (
-    contributions,
-    model_document,
-    records_document,
-)
+from comparisons.missing_effect.lag_curves import contributions, model_document, records_document
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.quantities import (
     chance,
     label_of,
@@ -34,12 +30,7 @@ from comparisons.missing_effect.quantities import (
     plain_name,
     tau_ms,
 )
-from comparisons.missing_effect.results import (
-    CandidateRow,
-    Diagnosis,
-    Gap,
-    MissingEffect,
-)
+from comparisons.missing_effect.results import CandidateRow, Diagnosis, Gap, MissingEffect
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where

@@ -10,8 +10,8 @@ import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.scales import scale_of, typical
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.quantities import scale_of, typical
+from comparisons.missing_effect.where_rows import SYMBOLS
 from comparisons.page.style import (
     ACCENT,
     FAINT,

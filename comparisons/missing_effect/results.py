@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.quantities import number_rows, open_words, plain_name
+from comparisons.missing_effect.quantities import (
+    number_rows,
+    open_words,
+    plain_name,
+    scale_of,
+    typical,
+)
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.scales import scale_of, typical
-from comparisons.missing_effect.where_rows import Where
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.where_rows import SYMBOLS, Where
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import bracketed, significant
 

@@ -26,10 +26,9 @@ from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
-from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.probes import Probe
+from comparisons.missing_effect.probes import Leftover, Probe
 from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

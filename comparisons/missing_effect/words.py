@@ -10,6 +10,7 @@ from comparisons.missing_effect.quantities import (
     PORT_WORDS,
     number_rows,
     plain_name,
+    scale_of,
     size_words,
 )
 from comparisons.missing_effect.results import (
@@ -21,9 +22,8 @@ from comparisons.missing_effect.results import (
     MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun, rms
-from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.where_rows import SYMBOLS
 from surge_core.rounding import significant
 
 _LEADS = {

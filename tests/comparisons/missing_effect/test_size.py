@@ -13,8 +13,8 @@ from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.fit import Fit, fit_structure
-from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import SIZE, Diagnosis
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
