@@ -15,7 +15,7 @@ from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.ports import Ports
+from comparisons.missing_effect.ports import Ports, ages, lag_times
 from comparisons.results import FitRows
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -257,23 +257,10 @@ class FreeRun:
         lasts_s = 1.0 / turn if turn > 0.0 else fast_s
         return max(LEAST_START_ROWS, round(START_TIMES * lasts_s / self.data.sample_period_s))
 
-    @cached_property
+    @property
     def _times(self) -> tuple[float, float, float]:
-        """Slow and fast time constant, in seconds, and angular frequency where the lag swings."""
-        tau_s, a2_s2 = self.fit.tau_s, self._ports.a2_s2
-        if a2_s2 == 0.0:
-            return tau_s, 0.0, 0.0
-        inside = tau_s**2 - 4.0 * a2_s2
-        if inside < 0.0:
-            return 2.0 * a2_s2 / tau_s, 0.0, float(np.sqrt(-inside)) / (2.0 * a2_s2)
-        slow_s = 0.5 * (tau_s + float(np.sqrt(inside)))
-        return slow_s, a2_s2 / slow_s, 0.0
+        return lag_times(self.fit.tau_s, self._ports.a2_s2)
 
     @cached_property
     def _age(self) -> FloatArray:
-        """Time since the first row, at each sample, in units of the (slower) time constant."""
-        slow_s, _, turn = self._times
-        steps = np.full(self.data["phi"].size, self.data.step_s / slow_s)
-        if self._ports.tau_factor is not None and turn == 0.0:
-            steps = steps / self._ports.tau_factor
-        return np.asarray(np.cumsum(steps)[self.data.rows])
+        return ages(self._ports, self.data, self.fit.tau_s)

@@ -115,6 +115,13 @@ class LagData:
         return tuple(slice(int(a), int(b)) for a, b in self.runs)
 
     @cached_property
+    def steps_of_run(self) -> FloatArray:
+        """Steps since the start of its run, at each row of the fine grid."""
+        return np.concatenate(
+            [np.arange(stop - start, dtype=float) for start, stop in self.fine_runs]
+        )
+
+    @cached_property
     def train(self) -> LagData:
         """Only what is fitted: each run up to its last row of that part."""
         return self.up_to(self.part == TRAIN)

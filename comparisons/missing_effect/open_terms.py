@@ -23,12 +23,7 @@ def _above(state: FloatArray, level: float) -> FloatArray:
 
 
 def _slow(state: FloatArray, data: LagData, tau_s: float) -> FloatArray:
-    from surge_core.lag import FirstOrderLag
-
-    lag = FirstOrderLag(tau_s, data.step_s, "first")
-    column = np.ascontiguousarray(state[:, None])
-    slow = lag_pass(column, lag.a, lag.gain_now, lag.gain_before, data.fine_runs, 1)
-    return np.asarray(slow[:, 0])
+    return np.asarray(lag_pass(state[:, None], tau_s, data.step_s, data.fine_runs)[:, 0])
 
 
 # Factors are taken from their means: one with a mean would bring the term itself once more, in
@@ -83,17 +78,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     target = ports.driven @ fit.coefficients[:q]
     if ports.gain is not None:
         target = target * ports.gain
-    from surge_core.lag import FirstOrderLag
-
-    lag = FirstOrderLag(fit.tau_s, data.step_s, "first")
-    state = lag_pass(
-        np.ascontiguousarray(target[:, None]),
-        lag.a,
-        lag.gain_now,
-        lag.gain_before,
-        data.fine_runs,
-        1,
-    )[:, 0]
+    state = _slow(target, data, fit.tau_s)
     return data.with_signal("state", state).with_signal("relaxation", target - state)
 
 

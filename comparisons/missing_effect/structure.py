@@ -11,7 +11,7 @@ import numpy as np
 
 from comparisons.missing_effect.effect import PORT_ORDER, Effect
 from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.ports import Ports, Response, respond
+from comparisons.missing_effect.ports import Ports, Response, ages, respond
 from surge_core.types import FloatArray
 
 # log τ nearer than this to a bound is at it: a hundredth of τ, less than any fit states.
@@ -134,8 +134,7 @@ class Structure:
     def respond_decay(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return what is left, at each sample, of a start of its run that is off by one."""
         ports = self.ports(data, nonlinear)
-        bare = replace(ports, driven=np.zeros((data["phi"].size, 1)), added=None, out_gain=None)
-        return respond(bare, data, float(np.exp(nonlinear[0])), data.nuisance[:, :0]).decay
+        return np.asarray(np.exp(-ages(ports, data, float(np.exp(nonlinear[0])))))
 
     def output(self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return the model's answer for given coefficients, of shape (n,)."""
