@@ -20,7 +20,7 @@ from comparisons.missing_effect.open_terms import with_own_state, with_state
 from comparisons.missing_effect.probes import LEFTOVER_P, Leftover, Probe, Prober, leftover_of
 from comparisons.missing_effect.structure import Structure
 from comparisons.results import evaluate_terms
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 # A score that promises less than this many log-units is not fitted: no threshold is that low.
 LEAST_PROMISE = 6.0
@@ -165,6 +165,21 @@ class Bench(System[Effect, Fit]):
         data = with_own_state(self.train, fit)
         plain = fit.errors(data, Metric())
         return noise_of(plain, data.scored(TRAIN), data, slope_of(fit, data), fit.tau_s)
+
+    @property
+    def own_noise(self) -> NoiseModel:
+        """The noise by the errors of the model itself."""
+        return self.noise(self.fit)
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """Plain errors of the model on all rows; held-out ones are by a fit to others."""
+        return errors_on(self.fit, self.data, Metric())[0]
+
+    @property
+    def held(self) -> BoolArray:
+        """Rows that were held out."""
+        return self.data.scored() & (self.data.part != TRAIN)
 
     def in_metric_of(self, fit: Fit, noise: NoiseModel) -> Bench:
         """Return the bench in the metric that a noise asks for, the model fitted again."""

@@ -11,7 +11,6 @@ from comparisons.missing_effect.covariance import largest_correlation
 from comparisons.missing_effect.effect import Effect, FittedParameter, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
 from comparisons.missing_effect.results import CORRELATION, SIZE, Gap, MissingEffect, ParameterRow
@@ -23,7 +22,7 @@ from comparisons.missing_effect.uncertainty import (
     size_in_errors,
 )
 from surge_core.terms import pretty_term
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
@@ -41,20 +40,16 @@ def concluded(
     final: Bench,
     rounds: Sequence[LagRound],
     sets: AliasSets,
-    *,
     otherwise: str,
     doubts: tuple[str, ...],
-    noise: NoiseModel,
-    left: tuple[FloatArray, FloatArray],
-    held: BoolArray,
-    floor_rms: float,
+    floor_rms: float | None = None,
 ) -> LagDiagnosis:
-    """Return the diagnosis that a search has come to.
+    """Return the diagnosis that a search has come to from one model to another, on the same rows.
 
     Parameters
     ----------
     base, final : Bench
-        The model before and after, on the same rows.
+        The models.
     rounds : sequence of Round
         The search.
     sets : mapping of str to sequence of Candidate
@@ -63,13 +58,10 @@ def concluded(
         The verdict where nothing was found.
     doubts : tuple of str
         Why no name is firm.
-    noise, floor_rms : NoiseModel, float
-        Of the model after; the measurement noise.
-    left : tuple of two ndarray of shape (n,)
-        Errors before and after of all rows, held-out ones by fits to others.
-    held : ndarray of bool, shape (n,)
-        Rows that were held out.
+    floor_rms : float, optional
+        Measurement noise; that of the model after without it.
     """
+    noise, left, held = final.own_noise, (base.left, final.left), final.held
     before = base.on_all_rows(base.fit)
     after = final.on_all_rows(final.fit) if final.found else before
     values = fitted_parameters(after, final)
@@ -92,7 +84,7 @@ def concluded(
         missing=tuple(missing),
         parameters=_parameters((before, earlier), (after, covariance)),
         unavailable={},
-        gap=Gap(_rms(left[0][held]), _rms(left[1][held]), floor_rms),
+        gap=Gap(_rms(left[0][held]), _rms(left[1][held]), floor_rms or noise.sigma),
         tau_by_alias_s=_tau_by_alias(final, sets, after),
         before=before,
         after=after,

@@ -13,8 +13,7 @@ from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
-from comparisons.missing_effect.fit import errors_on
-from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
+from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import is_whole, load_data
 from comparisons.missing_effect.metric import Metric
@@ -127,23 +126,10 @@ def _concluded(
     rounds: Sequence[LagRound],
     sets: AliasSets,
 ) -> LagDiagnosis:
-    leftover, noise, data = rounds[-1].leftover, final.noise(final.fit), final.data
-    unnamed = [effect for effect in final.found if effect.unnamed]
-    diagnosis = concluded(
-        base,
-        final,
-        rounds,
-        sets,
-        otherwise=_otherwise(leftover, noise),
-        doubts=(*leftover.doubts, *(BESIDE_A_TERM for _ in unnamed[:1])),
-        noise=noise,
-        left=(
-            errors_on(base.fit, base.data, Metric())[0],
-            errors_on(final.fit, data, Metric())[0],
-        ),
-        held=data.scored() & np.isin(data.part, (LATER, OTHER)),
-        floor_rms=noise.sigma,
-    )
+    leftover, noise = rounds[-1].leftover, final.own_noise
+    beside = any(effect.unnamed for effect in final.found)
+    doubts = (*leftover.doubts, *[BESIDE_A_TERM] * beside)
+    diagnosis = concluded(base, final, rounds, sets, _otherwise(leftover, noise), doubts)
     verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.

@@ -18,7 +18,6 @@ from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import readings_of, whole_data
-from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.quantities import size_words
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
@@ -29,7 +28,6 @@ from comparisons.missing_effect.whole_runs import (
     Nulls,
     Progress,
     WholeRuns,
-    cycles_left_out,
     fitted,
     nulls_of,
     number_of,
@@ -92,18 +90,14 @@ def diagnose_whole_runs(
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     unexplained = much and bool(n_twins)
     otherwise = "unexplained_structure" if unexplained else "nothing_missing"
-    noise = NoiseModel(rms_left(bench), rms_left(bench), (), 0.0)
     diagnosis = concluded(
         base,
         bench,
         rounds,
         sets,
-        otherwise="named" if line else otherwise,
-        doubts=(NO_MEASURE,) if much else (),
-        noise=noise,
-        left=_left_out(base, bench),
-        held=bench.rows.valid,
-        floor_rms=averaged_noise(readings),
+        "named" if line else otherwise,
+        (NO_MEASURE,) if much else (),
+        averaged_noise(readings),
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
@@ -178,14 +172,6 @@ def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
             name = "rms" if effect.name in SHAPED else effect.parameters[0].name
             found.append(Absent(effect.name, name, null.decided_from, null.unit))
     return tuple(found)
-
-
-def _left_out(base: Bench, final: Bench) -> tuple[FloatArray, FloatArray]:
-    """Return the errors of cycles left out, before and after."""
-    before = cycles_left_out(base.fit, base) * base.metric.sigma
-    if final is base:
-        return before, before
-    return before, cycles_left_out(final.fit, final) * final.metric.sigma
 
 
 def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:

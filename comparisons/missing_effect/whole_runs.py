@@ -28,10 +28,11 @@ from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.probes import Leftover, Probe
 from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 N_TWINS, FEWEST_TWINS = 20, 6
 # Standard deviations of the null beyond which an effect is there: three, a dozen names paid for.
@@ -198,6 +199,21 @@ class WholeRuns(Bench):
     ) -> tuple[LagCandidate, ...]:
         """Return the alias set of the round that found it."""
         return () if step is None else step.aliases
+
+    @property
+    def own_noise(self) -> NoiseModel:
+        """All that the model leaves: it hides the law of the noise."""
+        return NoiseModel(rms_left(self), rms_left(self), (), 0.0)
+
+    @property
+    def left(self) -> FloatArray:
+        """Plain errors of the model on all rows, by fits to other cycles."""
+        return self.left_out * self.metric.sigma
+
+    @property
+    def held(self) -> BoolArray:
+        """Rows that were held out: each of them, with its cycle."""
+        return self.rows.valid
 
     @cached_property
     def left_out(self) -> FloatArray:

@@ -64,20 +64,8 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
 
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
-    rows = bench.data.scored()
-    left = base.base_errors, bench.base_errors
-    return concluded(
-        base,
-        bench,
-        [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))],
-        {effect.name: ()},
-        otherwise="nothing_missing",
-        doubts=(),
-        noise=bench.noise(bench.fit),
-        left=left,
-        held=rows,
-        floor_rms=1e-3,
-    )
+    rounds = [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))]
+    return concluded(base, bench, rounds, {effect.name: ()}, "nothing_missing", (), 1e-3)
 
 
 def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:
