@@ -11,7 +11,6 @@ from comparisons.missing_effect.covariance import largest_correlation
 from comparisons.missing_effect.effect import Effect, FittedParameter, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
 from comparisons.missing_effect.results import CORRELATION, SIZE, Gap, MissingEffect, ParameterRow
 from comparisons.missing_effect.search import verdict_of
@@ -64,8 +63,8 @@ def concluded(
     noise, left, held = final.own_noise, (base.left, final.left), final.held
     before = base.on_all_rows(base.fit)
     after = final.on_all_rows(final.fit) if final.found else before
-    values = fitted_parameters(after, final)
-    covariance = covariance_of(after, with_own_state(final.data, after), final)
+    covariance = covariance_of(after, final)
+    values = fitted_parameters(after, final, covariance)
     missing = []
     for effect in final.found:
         numbers, members = values[effect.name], sets[effect.name]
@@ -78,7 +77,7 @@ def concluded(
         names = [c.added[0] for c in members] or [effect]
         missing.append(missing_effect(effect, names, numbers, evidence, why))
     first = rounds[0].bench
-    earlier = covariance_of(before, with_own_state(first.data, before), first)
+    earlier = covariance_of(before, first)
     return LagDiagnosis(
         verdict=verdict_of(missing, otherwise),
         missing=tuple(missing),

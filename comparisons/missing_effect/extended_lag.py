@@ -103,6 +103,11 @@ class ExtendedLag(Displayed):
         return " + ".join(["lag", *(added.name for added in self.effects)])
 
     @property
+    def bending(self) -> tuple[AddedEffect, ...]:
+        """Effects that are functions of φ alone, and so bend the characteristic."""
+        return tuple(one for one in self.effects if one.name in BENDING and one.acts)
+
+    @property
     def left_out(self) -> tuple[str, ...]:
         """Effects that a simulation of another record leaves out: their phases are not known."""
         return tuple(added.name for added in self.effects if added.effect.episodes)
@@ -273,12 +278,8 @@ class ExtendedLag(Displayed):
 
     def curve_terms(self) -> tuple[tuple[str, ...], FloatArray]:
         """Return the names of all that is a function of φ alone, and one coefficient a column."""
-        names, values = list(self.terms), list(self.coefficients)
-        for added in self.effects:
-            if added.name in BENDING and added.acts:
-                names.append(added.name)
-                values += added.coefficients
-        return tuple(names), np.array(values)
+        values = [*self.coefficients, *(b for one in self.bending for b in one.coefficients)]
+        return (*self.terms, *(one.name for one in self.bending)), np.array(values)
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
@@ -369,9 +370,8 @@ def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> 
         if added.name == REVERSE and added.name in names:
             columns.append(evaluate_terms(["phi^2[phi<0]"], phi))
         elif added.name == SHAPE and added.name in names:
-            intervals, low, high = added.nonlinear
-            own = shape_columns(phi, (low, high), int(intervals), n_powers(model.terms))
-            columns.append(own)
+            intervals, *span = added.nonlinear
+            columns.append(shape_columns(phi, span, int(intervals), n_powers(model.terms)))
     return np.column_stack(columns)
 
 

@@ -17,7 +17,6 @@ from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
 from comparisons.missing_effect.extended_parts import (
-    BENDING,
     REVERSE,
     SHAPE,
     AddedEffect,
@@ -61,7 +60,6 @@ def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> Extende
         return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
     if data is None:
         raise InputError("data", expected="the rows that the fit was made on", found="none")
-    _refuse_unnamed(source)
     bench = _bench(source, data)
     return _value(source, replace(bench, metric=_own_metric(bench)))
 
@@ -159,7 +157,7 @@ def _own_metric(bench: Bench) -> Metric:
     return noise.metric(weights_of(errors, noise, bench.data))
 
 
-def _refuse_unnamed(fit: Fit) -> None:
+def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     for effect in fit.structure.effects:
         if effect.unnamed:
             raise InputError(
@@ -168,14 +166,9 @@ def _refuse_unnamed(fit: Fit) -> None:
                 found=f"the term {effect.name}, which has no name",
                 remedy="it says that something is missing and is no model of it",
             )
-
-
-def _value(fit: Fit, bench: Bench) -> ExtendedLag:
-    _refuse_unnamed(fit)
-    data = bench.data
-    noise = bench.noise(fit)
-    covariance = covariance_of(fit, data, bench)
-    parameters = fitted_parameters(fit, bench)
+    data, noise = bench.data, bench.noise(fit)
+    covariance = covariance_of(fit, bench)
+    parameters = fitted_parameters(fit, bench, covariance)
     n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
     linear = covariance[n_free:, n_free:]
     groups = fit.groups(data)
@@ -184,7 +177,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     phi = data.sampled(data["phi"])[data.scored()]
     model = ExtendedLag(
         fit.tau_s,
-        parameters["tau"][0].stderr,
+        fit.tau_s * float(np.sqrt(max(covariance[0, 0], 0.0))),
         fit.structure.terms,
         tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
@@ -216,16 +209,8 @@ def _table(
     names, coefficients = model.curve_terms()
     columns = curve_columns(names, grid, model)
     slices = fit.structure.layout(data, fit.nonlinear)
-    rows = np.concatenate(
-        [
-            np.arange(len(model.terms)),
-            *[
-                np.arange(slices[added.name].start, slices[added.name].stop)
-                for added in model.effects
-                if added.name in BENDING and added.acts
-            ],
-        ]
-    )
+    bending = names[len(model.terms) :]
+    rows = np.r_[tuple(slices[name] for name in (TERMS, *bending))]
     own = covariance[np.ix_(rows, rows)]
     variance = np.einsum("ij,jk,ik->i", columns, own, columns)
     value = columns @ coefficients
@@ -267,18 +252,19 @@ class ExtendedLagFit:
     @property
     def terms_(self) -> list[str]:
         """Names of the terms, effects that are functions of φ alone among them."""
-        bent = [_CURVE_NAMES[name] for name in self._bending]
-        return [*self.extended_.terms, *bent]
+        return [*self.extended_.terms, *(_CURVE_NAMES[one.name] for one in self._bending)]
 
     @property
     def coef_(self) -> FloatArray:
         """One coefficient a term; of a free shape the largest it adds."""
-        return np.array([*self.extended_.coefficients, *self._bent(0)])
+        return np.array([*self.extended_.coefficients, *(one.values[0] for one in self._bending)])
 
     @property
     def covariance_(self) -> FloatArray:
         """Variances of the coefficients; those between them are in the characteristic's error."""
-        return np.diag(np.array([*self.extended_.stderr, *self._bent(1)]) ** 2)
+        return np.diag(
+            np.square([*self.extended_.stderr, *(one.stderr[0] for one in self._bending)])
+        )
 
     @property
     def n_blocks_(self) -> int:
@@ -303,15 +289,8 @@ class ExtendedLagFit:
         return self.extended_.quasi_steady(points), np.interp(points, grid, stderr)
 
     @property
-    def _bending(self) -> tuple[str, ...]:
-        names, _ = self.extended_.curve_terms()
-        return names[len(self.extended_.terms) :]
-
-    def _bent(self, which: int) -> list[float]:
-        """Return the amplitudes of what bends the curve, or their standard errors."""
-        by_name = {added.name: added for added in self.extended_.effects}
-        found = [by_name[name] for name in self._bending]
-        return [(added.values, added.stderr)[which][0] for added in found]
+    def _bending(self) -> tuple[AddedEffect, ...]:
+        return self.extended_.bending
 
 
 def extended_specs(

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue.lag_effects import no_shape, rising
+from comparisons.missing_effect.catalogue.lag_effects import rising
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.kernels import lag_pass
@@ -121,9 +121,7 @@ def _open_term(name: str, acts: Callable[..., Ports], port: str) -> Effect:
         "a term that no effect of the catalogue stands behind",
         (Parameter("c", "1", -np.inf, np.inf),),
         acts,
-        no_shape,
-        1.0,
-        "unknown",
-        "unknown",
+        on_tau="unknown",
+        confirm="unknown",
         unnamed=True,
     )

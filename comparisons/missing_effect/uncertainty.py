@@ -27,20 +27,20 @@ LEAST_BASIS = 1e-9
 JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
 
 
-def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter, ...]]:
-    """Return the numbers of each effect with their standard errors; τ under the key ``"tau"``.
+def fitted_parameters(
+    fit: Fit, bench: Bench, covariance: FloatArray
+) -> dict[str, tuple[FittedParameter, ...]]:
+    """Return the numbers of each effect with their standard errors.
 
     The covariance is that of clusters: the errors of one surge cycle may depend on each other.
     """
     data = with_own_state(bench.data, fit)
-    covariance = covariance_of(fit, data, bench)
     free = list(fit.structure.free)
     stderr = np.zeros(fit.nonlinear.size)
     stderr[free] = np.sqrt(np.maximum(np.diag(covariance)[: len(free)], 0.0))
     stderr = _over_jumps(fit, data, bench, stderr)
     linear = np.sqrt(np.maximum(np.diag(covariance)[len(free) :], 0.0))
-    tau = FittedParameter("tau", fit.tau_s, fit.tau_s * stderr[0], "s")
-    out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
+    out = {}
     columns = fit.structure.layout(data, fit.nonlinear)
     for effect in fit.structure.effects:
         slots, numbers = iter(fit.structure.slots[effect.name]), []
@@ -93,8 +93,9 @@ def _amplitude(
     return float(coefficients[0]), float(errors[0])
 
 
-def covariance_of(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
+def covariance_of(fit: Fit, bench: Bench) -> FloatArray:
     """Return the covariance of the free parameters of a fit, then its linear ones."""
+    data = with_own_state(bench.data, fit)
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
     slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
     answer = fit.structure.respond(data, fit.nonlinear)

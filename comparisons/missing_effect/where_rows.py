@@ -213,24 +213,17 @@ class Where:
     bound_z: float
 
     @property
-    def strongest_z(self) -> dict[str, float]:
-        """Largest |z| of each panel; 0 where a panel has none."""
+    def standing_out(self) -> tuple[str, ...]:
+        """The panels in which something lies beyond what chance reaches, the strongest first."""
         found = {
             "time": [row.z for row in self.time],
             "frequency": [row.z for row in self.frequency] + [self.line.z if self.line else 0.0],
             "flow": [abs(cell.z) for row in self.flow for cell in row.before.values()]
             + [abs(self.direction.z)],
         }
-        return {
-            name: max((z for z in values if math.isfinite(z)), default=0.0)
-            for name, values in found.items()
-        }
-
-    @property
-    def standing_out(self) -> tuple[str, ...]:
-        """The panels in which something lies beyond what chance reaches, the strongest first."""
-        beyond = {name: z for name, z in self.strongest_z.items() if z > self.bound_z}
-        return tuple(sorted(beyond, key=lambda name: -beyond[name]))
+        largest = {name: np.nanmax([0.0, *values]) for name, values in found.items()}
+        beyond = [name for name, z in largest.items() if z > self.bound_z]
+        return tuple(sorted(beyond, key=lambda name: -largest[name]))
 
     def to_json(self) -> dict[str, list[dict[str, Any]]]:
         """Return the rows of each panel as plain dictionaries; None for what is not known.

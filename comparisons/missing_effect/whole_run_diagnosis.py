@@ -184,11 +184,13 @@ def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis
     if line is None:
         return diagnosis
     ripple = find_effect("rotating_stall_ripple")
+    # The spectrum around the line moves its amplitude.
+    stderr = line.amplitude / float(np.sqrt(2.0 * line.height))
     found = missing_effect(
         ripple,
         [ripple],
         (
-            FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
+            FittedParameter("r", line.amplitude, stderr, "1"),
             FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
         ),
         {"line_over_background": line.height},

@@ -33,11 +33,6 @@ class RippleLine:
     height: float
     frequency_stderr_hz: float
 
-    @property
-    def amplitude_stderr(self) -> float:
-        """Standard error of the amplitude: the spectrum around the line moves it."""
-        return self.amplitude / float(np.sqrt(2.0 * self.height))
-
 
 def ripple_line(reading: RecordReading) -> RippleLine | None:
     """Look for a second pattern of stall cells in the rake differences, which carry no surge.

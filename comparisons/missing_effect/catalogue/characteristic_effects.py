@@ -7,7 +7,6 @@ from math import comb
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue.lag_effects import no_shape
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.kernels import piecewise_cubics
 from comparisons.missing_effect.lag_data import LagData
@@ -193,10 +192,8 @@ CHARACTERISTIC_EFFECTS = (
         "the characteristic moves with the corrected speed, which droops in surge",
         (Parameter("c", "1", -20.0, 20.0, "free", 1e-2),),
         _drooped,
-        no_shape,
-        1.0,
-        "small, unless the speed swings with surge",
-        "records at two speeds",
+        on_tau="small, unless the speed swings with surge",
+        confirm="records at two speeds",
         needs="Nc_frac",
     ),
     Effect(

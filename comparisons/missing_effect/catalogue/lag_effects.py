@@ -17,11 +17,6 @@ THRESHOLD_QUANTILES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 LEAST_TAU_SHARE = 0.15
 
 
-def no_shape(data: LagData) -> FloatArray:
-    """Return the grid of an effect with nothing but an amplitude."""
-    return np.zeros((1, 0))
-
-
 def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     if "exit_Pa" in data:
         # From raw counts: the pressures behind the blading are late, and ψ' is made of them. They
@@ -92,11 +87,9 @@ INPUT_EFFECTS = (
         "on the tape",
         (Parameter("d", "s", -0.2, 0.2, "free", 1e-4),),
         _delayed,
-        no_shape,
-        1.0,
-        "τ reads high by more than the delay, typically by 1.6 times as much",
-        "a pressure step applied to both rakes at once; the skew of the recorder from a common "
-        "test signal",
+        on_tau="τ reads high by more than the delay, typically by 1.6 times as much",
+        confirm="a pressure step applied to both rakes at once; the skew of the recorder from a "
+        "common test signal",
     ),
 )
 
@@ -108,10 +101,8 @@ LAG_EFFECTS = (
         "a second store: another plenum behind the blading, or a lag of the ψ' sensor or its tube",
         (Parameter("a2", "s^2", 0.0, 0.1, "free", 1e-6),),
         _second_order,
-        no_shape,
-        1.0,
-        "τ reads high, typically by half of the second time constant",
-        "a second tap without a tube, or a step calibration of the pressure line",
+        on_tau="τ reads high, typically by half of the second time constant",
+        confirm="a second tap without a tube, or a step calibration of the pressure line",
     ),
     Effect(
         "amplitude_dependent_lag",
@@ -136,10 +127,8 @@ LAG_EFFECTS = (
         "the flow field builds up and breaks down at different rates",
         (Parameter("k", "1", -0.9, 0.9, "free", 1e-3),),
         _asymmetric,
-        no_shape,
-        1.0,
-        "τ is a mean of two",
-        "throttle ramps up and down at the same rate",
+        on_tau="τ is a mean of two",
+        confirm="throttle ramps up and down at the same rate",
     ),
     Effect(
         "flow_dependent_lag",

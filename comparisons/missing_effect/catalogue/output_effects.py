@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
-from comparisons.missing_effect.catalogue.lag_effects import no_shape
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
@@ -90,10 +89,8 @@ OUTPUT_EFFECTS = (
         "the pressure that accelerates the gas was taken off with a wrong ∫dx/A",
         (Parameter("l", "s", -np.inf, np.inf),),
         _inertia,
-        no_shape,
-        1.0,
-        "τ moves by about ℓ over the slope of the characteristic",
-        "the duct's areas, or the ring of P31 after a fast throttle closure",
+        on_tau="τ moves by about ℓ over the slope of the characteristic",
+        confirm="the duct's areas, or the ring of P31 after a fast throttle closure",
     ),
     Effect(
         "thermocouple_lag",
@@ -102,10 +99,8 @@ OUTPUT_EFFECTS = (
         "the temperature that normalises ψ' comes late",
         (Parameter("tau_tc", "s", -5.0, 20.0, "free", 1e-3),),
         _thermocouple,
-        no_shape,
-        1.0,
-        "τ moves by a few percent where T25 swings with surge",
-        "a faster probe beside it, or the thermocouple's own step response",
+        on_tau="τ moves by a few percent where T25 swings with surge",
+        confirm="a faster probe beside it, or the thermocouple's own step response",
         needs="T25_K",
     ),
     Effect(
@@ -115,10 +110,8 @@ OUTPUT_EFFECTS = (
         "the sensitivity of a pressure transducer moves through the record",
         (Parameter("s", "1/s", -0.5, 5.0, "free", 1e-5),),
         _sensitivity,
-        no_shape,
-        1.0,
-        "a free run hardly minds; one-step estimators read a slow pole",
-        "zero and span readings after the test",
+        on_tau="a free run hardly minds; one-step estimators read a slow pole",
+        confirm="zero and span readings after the test",
     ),
     Effect(
         "bias_drift",
@@ -127,10 +120,8 @@ OUTPUT_EFFECTS = (
         "the zero of a pressure transducer moves through the record",
         (Parameter("c", "1/s", -np.inf, np.inf),),
         _bias,
-        no_shape,
-        1.0,
-        "a free run hardly minds; one-step estimators read a slow pole",
-        "a zero reading after the test",
+        on_tau="a free run hardly minds; one-step estimators read a slow pole",
+        confirm="a zero reading after the test",
     ),
     Effect(
         "rotating_stall_ripple",
@@ -164,8 +155,6 @@ FLOW_NOISE = Effect(
     "φ itself is noisy, and the lag passes its noise on into the errors",
     (Parameter("sigma_phi", "1", 0.0, 1.0, "free", 1e-4),),
     _unchanged,
-    no_shape,
-    1.0,
-    "none to speak of in a free run; one-step estimators read it too fast",
-    "the scatter of φ at a steady point",
+    on_tau="none to speak of in a free run; one-step estimators read it too fast",
+    confirm="the scatter of φ at a steady point",
 )

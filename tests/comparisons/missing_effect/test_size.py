@@ -18,6 +18,7 @@ from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import SIZE, Diagnosis
 from comparisons.missing_effect.uncertainty import (
     LEAST_SIZE,
+    covariance_of,
     fitted_parameters,
     size_in_errors,
 )
@@ -46,7 +47,9 @@ def size_of(bench: Bench, fit: Fit | None = None) -> float:
 def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) -> None:
     bench = with_effect(bench_of(planted), planted or "bias_drift")
     whole = bench.on_all_rows(bench.fit)
-    (number,) = fitted_parameters(whole, bench)[planted or "bias_drift"]
+    (number,) = fitted_parameters(whole, bench, covariance_of(whole, bench))[
+        planted or "bias_drift"
+    ]
     assert size_of(bench, whole) == pytest.approx(abs(number.value) / number.stderr, rel=1e-3)
     assert (size_of(bench, whole) > 10.0) is (planted is not None)
 
@@ -57,7 +60,7 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
     held = np.array([*bench.fit.nonlinear[:-1], 3e4])
     held[-2] = bench.fit.nonlinear[-2] * 3e4 / bench.fit.nonlinear[-1]
     slow = replace(bench.fit, nonlinear=held)
-    numbers = fitted_parameters(slow, bench)["facility_heating"]
+    numbers = fitted_parameters(slow, bench, covariance_of(slow, bench))["facility_heating"]
     assert all(number.stderr > abs(number.value) for number in numbers)
     assert size_of(bench, slow) > 10.0
 
