@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
     BENDING,

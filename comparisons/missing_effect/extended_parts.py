@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData

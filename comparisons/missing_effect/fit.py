@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.metric import Metric

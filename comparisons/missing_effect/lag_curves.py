@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.loading import Run, laid_out

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue.lag_effects import rising
+from comparisons.missing_effect.catalogue.workings import rising
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.kernels import lag_pass

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.catalogue.workings import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.candidates import refitted_on
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.covariance import orthonormal, sandwich
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit, solved

@@ -20,7 +20,7 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
 from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z

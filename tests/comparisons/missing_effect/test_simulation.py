@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, find_effect
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.kernels import varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
