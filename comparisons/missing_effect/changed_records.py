@@ -22,20 +22,9 @@ STATES = ("in_stall", "stalled")
 class Change:
     """What is done otherwise in an experiment.
 
-    Parameters
-    ----------
-    name, says : str
-        What it is called, and what is done.
-    speed : float
-        How fast φ passes, as a multiple.
-    length : float
-        How many times as long the records are.
-    swing : float
-        Factor of φ about its mean.
-    lower : float
-        By which share of its range φ is lowered.
-    settings : bool
-        Whether each record passes through three throttle settings.
+    φ passes at so many times its speed for so many times the length, its swing about its mean is
+    scaled, and it is lowered by a share of its range; or each record passes through three throttle
+    settings.
     """
 
     name: str

@@ -45,20 +45,9 @@ def concluded(
 ) -> LagDiagnosis:
     """Return the diagnosis that a search has come to from one model to another, on the same rows.
 
-    Parameters
-    ----------
-    base, final : Bench
-        The models.
-    rounds : sequence of Round
-        The search.
-    sets : mapping of str to sequence of Candidate
-        Alias set of each effect found, it first.
-    otherwise : str
-        The verdict where nothing was found.
-    doubts : tuple of str
-        Why no name is firm.
-    floor_rms : float, optional
-        Measurement noise; that of the model after without it.
+    ``sets`` holds the alias set of each effect found, it first; ``otherwise`` is the verdict where
+    nothing was found, ``doubts`` why no name is firm, and the floor the measurement noise (that of
+    the model after where it is not given).
     """
     noise, left, held = final.own_noise, (base.left, final.left), final.held
     before = base.on_all_rows(base.fit)

@@ -160,7 +160,13 @@ class Effect:
         return False
 
     def missing_channel(self, data: LagData) -> str | None:
-        """Return why the effect cannot be separated from these records, or None."""
+        """Return why the effect cannot be separated from these records, or None.
+
+        Parameters
+        ----------
+        data : LagData
+            The records.
+        """
         if not self.needs:
             return None
         if self.needs not in data:

@@ -159,21 +159,12 @@ def evidence_of(
     episodes: tuple[float, float] = (0.0, 0.0),
     one_sided: float = 0.0,
 ) -> Evidence:
-    """Weigh a candidate against the model without it.
+    """Weigh a candidate against the model without it, by whitened errors of fits to fitted rows.
 
-    Parameters
-    ----------
-    rows : Rows
-        Parts and blocks.
-    before, after : ndarray of shape (n,)
-        Whitened errors without and with it, by fits to the fitted rows alone.
-    added, searched : int, float
-        Numbers that it fitted in addition, and how many trials the search was worth.
-    episodes : tuple of float
-        Log-units that phases fitted on later time and on the other record cost.
-    one_sided : float
-        What held-out blocks may lose, as a share of what the others win, where the effect may act
-        in episodes alone.
+    ``added`` numbers were fitted in addition, and the search was worth ``searched`` trials;
+    ``episodes`` is what phases fitted on later time and on the other record cost. Where the effect
+    may act in episodes alone, held-out blocks may lose the share ``one_sided`` of what the others
+    win.
     """
     from scipy.stats import chi2
 

@@ -43,13 +43,6 @@ CURVE_POINTS = 121
 def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
     """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
 
-    Parameters
-    ----------
-    source : LagDiagnosis or Fit
-        What was fitted.
-    data : LagData, optional
-        The rows of a fit; a diagnosis has its own.
-
     Raises
     ------
     InputError
@@ -69,24 +62,10 @@ def refitted(
     records: Sequence[CoefficientSeries],
     until_s: Sequence[float] | None = None,
 ) -> ExtendedLag:
-    """Return a model with all its numbers fitted to other records.
+    """Return a model with all its numbers fitted to other records, each up to a time of its clock.
 
     τ, characteristic and effects are fitted jointly to every scored row; an effect that was just
-    added is searched for first.
-
-    Parameters
-    ----------
-    model : ExtendedLag
-        The model.
-    records : sequence of CoefficientSeries
-        At one sample rate. Records that all carry unfiltered columns are taken as free runs.
-    until_s : sequence of float, optional
-        Score each record up to this time only, in seconds on its clock.
-
-    Raises
-    ------
-    InputError
-        When the records hold too few rows or lack a channel that an effect needs.
+    added is searched for first. Records that all carry unfiltered columns are taken as free runs.
     """
     data = _fitted_data(records, until_s)
     for added in model.effects:

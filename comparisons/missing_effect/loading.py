@@ -48,17 +48,7 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
 
     The last record, where there are two or more, is never fitted; of the others the last 40 % of
     the scored rows are held out. Records that carry the signals of their probe pairs are taken as
-    free runs, as in `compare`.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        At one sample rate.
-
-    Raises
-    ------
-    InputError
-        When they do not go together or hold too few rows.
+    free runs, as in `compare`. Records that do not go together or hold too few rows are refused.
     """
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))

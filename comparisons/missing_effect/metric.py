@@ -53,16 +53,8 @@ class FlowNoise:
 class Metric:
     """Errors e become w (e - Σ a_i e[k-i]) / σ: white, of unit variance, outliers held down.
 
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation of what is left once whitened.
-    ar : ndarray of shape (p,)
-        Coefficients of the autoregression; empty for white noise.
-    weight : ndarray of shape (n,), optional
-        Factor of each row, beside that of the data.
-    flow : FlowNoise, optional
-        Noise on φ beside it; the autoregression is empty then.
+    The autoregression is empty for white noise and for noise on φ; ``weight`` is a factor of each
+    row beside that of the data.
     """
 
     sigma: float = 1.0

@@ -25,22 +25,10 @@ HEAVY_SHARE = 0.006
 class NoiseModel:
     """Noise of the measured coefficient, as the errors of a model show it.
 
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation of one error, colour and all.
-    innovation : float
-        Standard deviation of what is new in each error.
-    ar : tuple of float
-        Autoregression of the errors; empty where they are white.
-    heavy_share : float
-        Share of errors beyond three standard deviations (robust).
-    flow : FlowNoise, optional
-        Noise on φ, where it describes the errors better than an autoregression.
-    flow_gain : float
-        By how many log-units it does.
-    flow_stderr : float
-        Standard error of the noise on φ, from the curvature of the likelihood.
+    ``sigma`` is the deviation of one error, ``innovation`` that of what is new in it; ``ar`` is
+    empty where the errors are white; ``heavy_share`` lies beyond three robust deviations. Noise on
+    φ is there where it describes the errors better than an autoregression, by so many log-units;
+    its error is that of the curvature of the likelihood.
     """
 
     sigma: float

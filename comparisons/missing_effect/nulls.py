@@ -71,21 +71,9 @@ def foretold(
 ) -> tuple[float, float, str]:
     """Test whether signals foretell errors, against the same errors shifted in time.
 
-    Parameters
-    ----------
-    errors, signals : sequence of ndarray of shape (n,) and (n, m)
-        One output's errors of each run; inputs and simulated states of each run.
-    names : sequence of str
-        Of the signals.
-    rng : Generator
-        Of the shifts.
-
-    Returns
-    -------
-    p_value, share : float
-        Chance of so much foretold; share of the squared errors foretold beyond chance.
-    follows : str
-        The signal, or product of two, that the errors follow most.
+    Of each run there are one output's errors, and its inputs and simulated states. Returned are the
+    chance of so much foretold, the share of the squared errors foretold beyond chance, and the
+    signal, or product of two, that the errors follow most.
     """
     features, labels = _features(np.concatenate(list(signals)), names)
     error = np.concatenate([e - e.mean() for e in errors])

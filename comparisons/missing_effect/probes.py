@@ -28,20 +28,11 @@ LEAST_OWN_SHARE = 1e-4
 
 @dataclass(frozen=True)
 class Probe:
-    """What the score of one effect says.
+    """What the score of one effect says: log-units that a step along its slope would win.
 
-    Parameters
-    ----------
-    effect : Effect
-        Which.
-    gain : float
-        Log-units that a step along its slope would win.
-    degrees : int
-        Columns behind it.
-    starts : tuple of ndarray
-        Where its search should begin: the values of its nonlinear parameters, best first.
-    columns : ndarray of shape (n, k)
-        Its slope at the best start, orthonormal, free of what the base can move.
+    ``starts`` are the values of its nonlinear parameters from which its search should begin, best
+    first; ``columns`` is its slope at the best of them, orthonormal, free of what the base can
+    move.
     """
 
     effect: Effect
@@ -57,11 +48,7 @@ class Probe:
     @property
     def chance(self) -> float:
         """Chance of so large a gain in noise, times what was searched."""
-        from scipy.stats import chi2
-
-        if self.degrees == 0:
-            return 1.0
-        return min(1.0, float(chi2.sf(2.0 * self.gain, self.degrees)) * self.effect.searched)
+        return min(1.0, _chi2(self.gain, self.degrees) * self.effect.searched)
 
 
 class Prober:
@@ -80,7 +67,7 @@ class Prober:
         """Return the score of one effect at the best of its starts."""
         if effect.episodes:
             return self._ripple(effect)
-        starts = effect.starts(self.data, 0.0)
+        starts = effect.starts(self.data)
         if effect.linear:
             groups = self._linear_columns(effect, starts)
         else:
@@ -225,18 +212,9 @@ MANY_TRIALS = 20.0
 class Leftover:
     """What a score test of all open terms and all effects finds in a model's errors.
 
-    Parameters
-    ----------
-    gain : float
-        Log-units that they would win together, or the best of them where each is tested alone.
-    degrees : int
-        Columns.
-    p_value : float
-        Of that gain, or of a ripple or a branch where they say more.
-    alone : bool
-        Whether each was tested alone.
-    unevenness : float
-        By how many standard errors the rows that were held out are left noisier than the others.
+    The gain is what they would win together, or the best where each is tested alone; the chance
+    that of this gain, or of a ripple or a branch where they say more; the unevenness by how many
+    standard errors the rows that were held out are left noisier than the others.
     """
 
     gain: float

@@ -40,25 +40,10 @@ def search(
     most: int,
     report: Report = lambda _: None,
 ) -> tuple[Any, list[Round[A, F]]]:
-    """Add to a model what it lacks, one or two effects a round.
+    """Add to a model what it lacks, one or two effects a round, until it has ``most``.
 
-    Parameters
-    ----------
-    system : System
-        The model as it is.
-    effects, library : sequence
-        Names, and terms without one.
-    most : int
-        Add at most so many.
-    report : callable
-        Told in a few words what begins.
-
-    Returns
-    -------
-    system : System
-        The model with all that was found.
-    rounds : list of Round
-        The search.
+    ``effects`` have names, the terms of the ``library`` have none; ``report`` hears in a few words
+    what begins.
     """
     here: System[A, F] = system
     rounds: list[Round[A, F]] = []

@@ -72,20 +72,11 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True)
 class Null:
-    """What an effect reads where it is not there.
+    """What an effect reads where it is not there, with the deviation over twins.
 
-    Parameters
-    ----------
-    share, share_sd : float
-        Share of the squared errors that it explains of a twin, mean and standard deviation.
-    number, number_sd : float
-        The number that it takes; its deviation over twins and specifications.
-    matters : float
-        Size of that number from which on the effect matters.
-    unit : str
-        Of the number.
-    by_inertia : float
-        How far a wrong ∫dx/A moves the number.
+    ``share`` is what it explains of the squared errors, ``number`` what it takes (over
+    specifications, too); ``matters`` is the size of that number from which on the effect matters,
+    ``by_inertia`` how far a wrong ∫dx/A moves it.
     """
 
     share: float
