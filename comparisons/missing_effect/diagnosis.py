@@ -16,8 +16,7 @@ from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import is_whole, load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import MissingEffect

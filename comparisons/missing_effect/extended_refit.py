@@ -13,6 +13,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench, refitted_on
+from comparisons.missing_effect.conclusion import covariance_of, fitted_parameters
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
@@ -28,11 +29,9 @@ from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import weights_of
+from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
 from comparisons.missing_effect.structure import TERMS, Structure
-from comparisons.missing_effect.uncertainty import covariance_of, fitted_parameters
 from comparisons.results import FitRows
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

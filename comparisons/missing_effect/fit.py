@@ -10,7 +10,7 @@ import numpy as np
 from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.structure import Structure
 from surge_core.types import FloatArray
 

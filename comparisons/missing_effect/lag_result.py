@@ -19,8 +19,7 @@ from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_curves import contributions, model_document, records_document
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.quantities import (

@@ -13,8 +13,7 @@ from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.probes import Prober

@@ -14,7 +14,7 @@ from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate
 from comparisons.missing_effect.fit import Fit, Solution, fit_structure, free_slopes, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
-from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.ports import Ports, respond
 from comparisons.missing_effect.quantities import chance
 from surge_core.types import FloatArray

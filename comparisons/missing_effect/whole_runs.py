@@ -27,8 +27,7 @@ from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import whole_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.probes import Leftover, Probe
 from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from comparisons.missing_effect.conclusion import LEAST_SIZE
 from comparisons.missing_effect.quantities import (
     PORT_WORDS,
     number_rows,
@@ -22,7 +23,6 @@ from comparisons.missing_effect.results import (
     MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun, rms
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.where_rows import SYMBOLS
 from surge_core.rounding import significant
 

@@ -15,7 +15,7 @@ from comparisons.missing_effect.catalogue.workings import shape_columns, stall_e
 from comparisons.missing_effect.kernels import varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric, projected
+from comparisons.missing_effect.noise import Metric, projected
 from comparisons.missing_effect.structure import Structure
 
 Array = np.ndarray

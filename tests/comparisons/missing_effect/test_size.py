@@ -10,18 +10,18 @@ from effect_data import CUBIC, hidden, series_of
 
 from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.candidates import Bench, LagRound
-from comparisons.missing_effect.conclusion import concluded
+from comparisons.missing_effect.conclusion import (
+    LEAST_SIZE,
+    concluded,
+    covariance_of,
+    fitted_parameters,
+    size_in_errors,
+)
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import SIZE, Diagnosis
-from comparisons.missing_effect.uncertainty import (
-    LEAST_SIZE,
-    covariance_of,
-    fitted_parameters,
-    size_in_errors,
-)
 
 SHORT = {"seed": 3, "n_samples": 1000}
 
