@@ -62,8 +62,8 @@ def concluded(
             evidence[SIZE] = size_in_errors(effect, after, final)
             why = (*_lost(numbers[0], effect.parameters[0], evidence[SIZE]), *doubts)
         evidence |= _correlation(effect, after, covariance)
-        names = [c.added[0] for c in members] or [effect]
-        missing.append(missing_effect(effect, names, numbers, evidence, why))
+        names = [c.added[0] for c in members]
+        missing.append(missing_effect(effect, numbers, evidence, why, names))
     first = rounds[0].bench
     earlier = covariance_of(before, first)
     return LagDiagnosis(
@@ -85,13 +85,13 @@ def concluded(
 
 def missing_effect(
     effect: Effect,
-    members: Sequence[Effect],
     parameters: tuple[FittedParameter, ...],
     evidence: Mapping[str, float],
     doubts: tuple[str, ...] = (),
+    alias_set: Sequence[Effect] = (),
 ) -> MissingEffect:
     """Return an effect that a lag model lacks."""
-    letters = letters_of(effect)
+    letters, members = letters_of(effect), alias_set or [effect]
     return MissingEffect(
         effect.name,
         tuple(e.name for e in members),

@@ -143,7 +143,7 @@ def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
     """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
     sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
     evidence = {"gain_over_autoregression": noise.flow_gain}
-    return missing_effect(FLOW_NOISE, [FLOW_NOISE], (sigma,), evidence)
+    return missing_effect(FLOW_NOISE, (sigma,), evidence)
 
 
 def _otherwise(left: Leftover, noise: NoiseModel) -> str:

@@ -231,35 +231,23 @@ class FreeRun:
 
     def _from_start(self, piece: IntArray) -> FloatArray:
         """Return what the measured start of a piece adds to its rows."""
-        begin, gain = piece[0], self._gain[piece]
-        lasting = np.exp(self._age[begin] - self._age[piece])
-        off = self.data.measured[piece] - self.free[piece]
+        gain, off = self._gain[piece], self.data.measured[piece] - self.free[piece]
+        lasting = np.exp(self._age[piece[0]] - self._age[piece])
         if self._ports.a2_s2 == 0.0:
             return np.asarray(off[0] / gain[0] * gain * lasting)
-        # ψ' and its rate: two numbers, of which one row measures but one.
-        modes = gain[:, None] * np.column_stack([lasting, self._second_mode(piece)])
-        n = min(self._start_rows, piece.size)
+        # ψ' and its rate: two numbers, of which one row measures but one. A lag of second order
+        # forgets in two ways, the second a swing or a shorter time.
+        slow_s, fast_s, turn = lag_times(self.fit.tau_s, self._ports.a2_s2)
+        period_s = self.data.sample_period_s
+        since_s = (piece - piece[0]) * period_s
+        if turn > 0.0:
+            second, lasts_s = np.exp(-since_s / slow_s) * np.sin(turn * since_s), 1.0 / turn
+        else:
+            second, lasts_s = np.exp(-since_s / fast_s), fast_s
+        modes = gain[:, None] * np.column_stack([lasting, second])
+        n = max(LEAST_START_ROWS, round(START_TIMES * lasts_s / period_s))
         sizes = np.linalg.lstsq(modes[:n], off[:n], rcond=1e-6)[0]
         return np.asarray(modes @ sizes)
-
-    def _second_mode(self, piece: IntArray) -> FloatArray:
-        """Return the other way in which a lag of second order forgets, beside the slow one."""
-        slow_s, fast_s, turn = self._times
-        since_s = (piece - piece[0]) * self.data.sample_period_s
-        if turn > 0.0:
-            return np.asarray(np.exp(-since_s / slow_s) * np.sin(turn * since_s))
-        return np.asarray(np.exp(-since_s / fast_s))
-
-    @property
-    def _start_rows(self) -> int:
-        """First rows from which the start is read; one but for a lag of second order."""
-        _, fast_s, turn = self._times
-        lasts_s = 1.0 / turn if turn > 0.0 else fast_s
-        return max(LEAST_START_ROWS, round(START_TIMES * lasts_s / self.data.sample_period_s))
-
-    @property
-    def _times(self) -> tuple[float, float, float]:
-        return lag_times(self.fit.tau_s, self._ports.a2_s2)
 
     @cached_property
     def _age(self) -> FloatArray:

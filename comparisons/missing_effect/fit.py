@@ -239,13 +239,17 @@ def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tupl
     ripple = next((effect for effect in fit.structure.effects if effect.episodes), None)
     if ripple is None:
         return fit.errors(data, metric), (0.0, 0.0)
-    bare, values = without_episodes(fit, ripple, data.train)
+    frequency_hz, gate = fit.values_of(ripple)
+    structure, nonlinear = fit.structure.without(ripple, fit.nonlinear)
+    # The ripple stands last behind the lag, so its columns are the last ones.
+    n_bare = fit.coefficients.size - 2 * len(stall_episodes(data.train, float(gate)))
+    bare = Fit(structure, nonlinear, fit.coefficients[:n_bare], 0.0)
     errors = bare.errors(data, metric)
-    amplitudes = fit.coefficients[bare.coefficients.size :]
+    amplitudes = fit.coefficients[n_bare:]
     size = float(np.sqrt(2.0 * np.mean(amplitudes**2))) if amplitudes.size else 0.0
-    phase = 2.0 * np.pi * values[0] * data.sampled(data["time_s"])
+    phase = 2.0 * np.pi * frequency_hz * data.sampled(data["time_s"])
     costs = {TRAIN: 0.0, LATER: 0.0, OTHER: 0.0}
-    for rows in stall_episodes(data, float(values[1])):
+    for rows in stall_episodes(data, float(gate)):
         near = slice(rows.start, min(rows.stop + metric.ar.size, data.n_samples))
         columns = np.zeros((data.n_samples, 2))
         columns[rows, 0], columns[rows, 1] = np.sin(phase[rows]), np.cos(phase[rows])
@@ -257,12 +261,3 @@ def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tupl
             costs[part] += 1.0
         errors[near] -= seen @ along
     return errors, (costs[LATER], costs[OTHER])
-
-
-def without_episodes(fit: Fit, ripple: Effect, data: LagData) -> tuple[Fit, FloatArray]:
-    """Return a fit without the columns of its ripple, and the ripple's values."""
-    values = fit.values_of(ripple)
-    structure, nonlinear = fit.structure.without(ripple, fit.nonlinear)
-    # The ripple stands last behind the lag, so its columns are the last ones.
-    own = 2 * len(stall_episodes(data, float(values[1])))
-    return Fit(structure, nonlinear, fit.coefficients[: fit.coefficients.size - own], 0.0), values

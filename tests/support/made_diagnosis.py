@@ -146,7 +146,7 @@ def _found(
         LagCandidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
     )
     doubts = Leftover(171.0, 38, 3e-51).doubts if verdict == "provisional" else ()
-    item = missing_effect(winner, members, parameters, {"score": 950.0}, doubts)
+    item = missing_effect(winner, parameters, {"score": 950.0}, doubts, members)
     return (item, fit), candidates
 
 

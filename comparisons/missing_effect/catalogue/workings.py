@@ -55,8 +55,8 @@ def _amplitude_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return ports.with_tau_factor(np.maximum(1.0 + values[0] * swing, LEAST_TAU_SHARE))
 
 
-def _amplitude_ends(data: LagData) -> FloatArray:
-    # With the ends of the record prolonged, and as they stand.
+def _both_ways(data: LagData) -> FloatArray:
+    # With the ends of the record prolonged, and as they stand; lagged, and not.
     return np.array([[1.0], [0.0]])
 
 
@@ -156,10 +156,6 @@ def _reversed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     if values[0] > 0.5:
         return ports.with_driven(loss, ("phi^2[phi<0]",))
     return ports.with_added(data.averaged(loss)[data.rows], ("phi^2[phi<0], unlagged",))
-
-
-def _reversed_grid(data: LagData) -> FloatArray:
-    return np.array([[1.0], [0.0]])
 
 
 def _shaped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -312,10 +308,10 @@ WORKINGS: dict[str, dict[str, Any]] = {
     "facility_heating": {"acts": _heated, "grid": _heating_times},
     "speed_droop": {"acts": _drooped},
     "hysteresis": {"acts": _branched, "grid": _branch_grid},
-    "reverse_flow_branch": {"acts": _reversed, "grid": _reversed_grid},
+    "reverse_flow_branch": {"acts": _reversed, "grid": _both_ways},
     "characteristic_shape": {"acts": _shaped, "grid": _interval_grid, "adapted": _over_the_range},
     "second_order_lag": {"acts": _second_order},
-    "amplitude_dependent_lag": {"acts": _amplitude_lag, "grid": _amplitude_ends},
+    "amplitude_dependent_lag": {"acts": _amplitude_lag, "grid": _both_ways},
     "asymmetric_lag": {"acts": _asymmetric},
     "flow_dependent_lag": {"acts": _flow_lag, "grid": _flow_thresholds},
     "flow_inertia": {"acts": _inertia},
