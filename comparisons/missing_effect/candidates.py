@@ -12,12 +12,11 @@ import numpy as np
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.evidence import Rows, Tie
-from comparisons.missing_effect.fit import Fit, errors_on, fit_structure, solved
+from comparisons.missing_effect.fit import Fit, Structure, errors_on, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.noise import Metric, NoiseModel, noise_of, weights_of
 from comparisons.missing_effect.open_terms import with_own_state, with_state
 from comparisons.missing_effect.probes import LEFTOVER_P, Leftover, Probe, Prober, leftover_of
-from comparisons.missing_effect.structure import Structure
 from comparisons.results import evaluate_terms
 from surge_core.types import BoolArray, FloatArray
 

@@ -31,6 +31,13 @@ AT_BOUND = 1e-3
 TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
 
 AliasSets = Mapping[Hashable, Sequence[LagCandidate]]
+# Below this many standard errors an effect is not distinguished from none: its 95 % interval
+# holds zero.
+LEAST_SIZE = 2.0
+# Directions of all other numbers that are no rounding.
+LEAST_BASIS = 1e-9
+# Steps of a threshold, as shares of the range of φ.
+JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
 
 
 def concluded(
@@ -186,16 +193,6 @@ def _evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
-
-
-# Below this many standard errors an effect is not distinguished from none: its 95 % interval
-# holds zero.
-LEAST_SIZE = 2.0
-# Directions of all other numbers that are no rounding.
-LEAST_BASIS = 1e-9
-
-# Steps of a threshold, as shares of the range of φ.
-JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
 
 
 def fitted_parameters(

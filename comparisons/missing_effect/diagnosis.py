@@ -12,16 +12,15 @@ from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.excitation import block_rows
+from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import is_whole, load_data
+from comparisons.missing_effect.loading import block_rows, is_whole, load_data
 from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import alias_sets, search
-from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
 from surge_core.errors import InputError

@@ -27,11 +27,10 @@ from comparisons.missing_effect.extended_parts import (
     on_segments,
     rows_in,
 )
-from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
-from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.results import FitRows, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError

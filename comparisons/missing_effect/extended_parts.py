@@ -23,6 +23,9 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 MOST_EFFECTS = 3
 # Effects that are functions of φ alone, and so bend the characteristic.
 REVERSE, SHAPE = BENDING = ("reverse_flow_branch", "characteristic_shape")
+# The start of a lag of second order is read from so many of its short times, and rows at least.
+START_TIMES = 2.0
+LEAST_START_ROWS = 4
 
 
 @dataclass(frozen=True)
@@ -165,11 +168,6 @@ def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
 def finite(value: float) -> float | None:
     """Return a number for JSON, None where it is not known."""
     return float(value) if math.isfinite(value) else None
-
-
-# The start of a lag of second order is read from so many of its short times, and rows at least.
-START_TIMES = 2.0
-LEAST_START_ROWS = 4
 
 
 @dataclass(frozen=True)

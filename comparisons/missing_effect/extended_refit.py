@@ -15,7 +15,6 @@ from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench, refitted_on
 from comparisons.missing_effect.conclusion import covariance_of, fitted_parameters
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
 from comparisons.missing_effect.extended_parts import (
     REVERSE,
@@ -25,18 +24,18 @@ from comparisons.missing_effect.extended_parts import (
     by_record,
     on_segments,
 )
-from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
-from comparisons.missing_effect.structure import TERMS, Structure
 from comparisons.results import FitRows
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 121
+_CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 
 def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
@@ -194,9 +193,6 @@ def _table(
     value = columns @ coefficients
     error = np.sqrt(np.maximum(variance, 0.0))
     return tuple(zip(grid.tolist(), value.tolist(), error.tolist(), strict=True))
-
-
-_CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ FLOW_RELUCTANCE = 5.0
 HUBER = 3.0
 # Share of errors beyond Huber's bound from which on the tails are called heavy (normal: 0.27 %).
 HEAVY_SHARE = 0.006
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,6 @@ def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArr
 
 def _scale(errors: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(errors - np.median(errors)))) if errors.size else 1.0
-
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

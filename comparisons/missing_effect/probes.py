@@ -24,6 +24,15 @@ FINER = 4
 KEPT_STARTS = 3
 # Columns that have lost all but this share of themselves to the base say nothing of their own.
 LEAST_OWN_SHARE = 1e-4
+# The chance below which what a model leaves is called structure, and not chance.
+LEFTOVER_P = 1e-4
+# A name is firm only while no test of what it leaves comes below this; tests of one term at a
+# time are weaker.
+DOUBTFUL_P = 1e-3
+DOUBTFUL_ALONE_P = 5e-3
+LARGEST_UNEVENNESS = 5.0
+# An effect whose start is searched this widely is tested apart from the others.
+MANY_TRIALS = 20.0
 
 
 @dataclass(frozen=True)
@@ -195,17 +204,6 @@ def _episode_spectrum(
     power[frequency < lowest] = 0.0
     power[frequency > HIGHEST_SHARE / data.sample_period_s] = 0.0
     return np.asarray(frequency, dtype=np.float64), power
-
-
-# The chance below which what a model leaves is called structure, and not chance.
-LEFTOVER_P = 1e-4
-# A name is firm only while no test of what it leaves comes below this; tests of one term at a
-# time are weaker.
-DOUBTFUL_P = 1e-3
-DOUBTFUL_ALONE_P = 5e-3
-LARGEST_UNEVENNESS = 5.0
-# An effect whose start is searched this widely is tested apart from the others.
-MANY_TRIALS = 20.0
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,14 @@ _OPEN_MEANING = (
     (r"\bt\b", "t is the facility clock"),
     (r"\bn\b", "n is the corrected speed"),
 )
+# Symbols that take a prefix; what stands behind a stroke or a dot stays as it is.
+PREFIXED = frozenset(
+    ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")
+)
+# Below these a number is given in thousandths, millionths, … of its unit.
+STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
+# Of units that take no prefix: smaller numbers read badly as decimals.
+PLAIN_BELOW = 1e-2
 
 
 def symbol(parameter: str) -> str:
@@ -171,16 +179,6 @@ def open_words(name: str) -> str:
         name = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", pretty, name)
     name = name.removesuffix(" at the output")
     return name.replace("*", "·").replace("^2", "²").replace("^3", "³")
-
-
-# Symbols that take a prefix; what stands behind a stroke or a dot stays as it is.
-PREFIXED = frozenset(
-    ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")
-)
-# Below these a number is given in thousandths, millionths, … of its unit.
-STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
-# Of units that take no prefix: smaller numbers read badly as decimals.
-PLAIN_BELOW = 1e-2
 
 
 class Scale:

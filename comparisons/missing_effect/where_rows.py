@@ -18,6 +18,9 @@ FEWEST_SCORED = 40
 PANELS = ("time", "frequency", "flow")
 # Which way the signal goes.
 WAYS = ("any", "falling", "rising")
+# A background this far above the stated floor is worth a word: the floor may be stated too low.
+HIGH_BACKGROUND = 1.1
+SYMBOLS = {"psi_p": "ψ'", "phi": "φ"}
 
 
 @dataclass(frozen=True)
@@ -269,11 +272,6 @@ class Where:
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
     out = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
     return {k: list(v) if isinstance(v, tuple) else v for k, v in out.items()}
-
-
-# A background this far above the stated floor is worth a word: the floor may be stated too low.
-HIGH_BACKGROUND = 1.1
-SYMBOLS = {"psi_p": "ψ'", "phi": "φ"}
 
 
 def describe(where: Where, *, two: bool) -> tuple[str, ...]:

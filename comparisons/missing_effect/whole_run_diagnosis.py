@@ -14,10 +14,9 @@ from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import LEAST_SIZE, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.loading import readings_of, whole_data
+from comparisons.missing_effect.loading import block_rows, readings_of, whole_data
 from comparisons.missing_effect.quantities import size_words
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search

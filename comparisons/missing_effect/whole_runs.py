@@ -24,12 +24,11 @@ from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit, Structure, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import whole_data
 from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.probes import Leftover, Probe
-from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 

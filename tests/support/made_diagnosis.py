@@ -13,7 +13,7 @@ from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.evidence import Evidence
-from comparisons.missing_effect.fit import Fit, errors_on
+from comparisons.missing_effect.fit import Fit, Structure, errors_on
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import load_data
@@ -21,7 +21,6 @@ from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import Gap, MissingEffect, ParameterRow
-from comparisons.missing_effect.structure import Structure
 
 PERIOD_S = 0.01
 TAU_S = 0.1

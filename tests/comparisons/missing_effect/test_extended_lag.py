@@ -26,10 +26,9 @@ from comparisons.missing_effect.extended_file import (
 )
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_refit import extended_specs, refitted, value_of
-from comparisons.missing_effect.fit import fit_structure
+from comparisons.missing_effect.fit import Structure, fit_structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.noise import Metric
-from comparisons.missing_effect.structure import Structure
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 from surge_core.errors import InputError
 

@@ -14,11 +14,10 @@ from comparisons.missing_effect.conclusion import covariance_of, fitted_paramete
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.extended_refit import value_of
-from comparisons.missing_effect.fit import Fit, fit_structure, solved
+from comparisons.missing_effect.fit import Fit, Structure, fit_structure, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.noise import Metric
-from comparisons.missing_effect.structure import Structure
 from comparisons.rig.coefficient_effects import EFFECTS
 from comparisons.rig.coefficient_tests import CoefficientTest
 

@@ -12,11 +12,11 @@ from scipy.integrate import solve_ivp
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
+from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.kernels import varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.noise import Metric, projected
-from comparisons.missing_effect.structure import Structure
 
 Array = np.ndarray
 CUBIC = ("1", "phi", "phi^2", "phi^3")
