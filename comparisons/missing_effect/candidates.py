@@ -182,9 +182,7 @@ class Bench(System[Effect, Fit]):
     def in_metric_of(self, fit: Fit, noise: NoiseModel) -> Bench:
         """Return the bench in the metric that a noise asks for, the model fitted again."""
         plain = errors_on(fit, with_own_state(self.data, fit), Metric())[0]
-        if noise.flow is not None:
-            whole = replace(noise.flow, slope=slope_of(fit, self.data))
-            noise = replace(noise, flow=whole)
+        noise = over_rows(noise, fit, self.data)
         metric = noise.metric(weights_of(plain, noise, self.data))
         again = fit_structure(
             self.fit.structure, self.train, metric.on(self.data.train_rows), [self.fit.nonlinear]
@@ -199,12 +197,9 @@ class Bench(System[Effect, Fit]):
 
     def tried(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Tried[Effect, Fit]:
         """Fit all that promises something to the end, in the metric of the best."""
-        prober, present = self.prober(), self.fit.structure.names
-        named, terms = (
-            [prober.probe(effect) for effect in some if effect.name not in present]
-            for some in (effects, library)
-        )
-        probes = [*self.promising(named), *self.promising(terms, MOST_OPEN_FITS)]
+        prober = self.prober()
+        probes = self.promising(prober.probes(effects))
+        probes += self.promising(prober.probes(library), MOST_OPEN_FITS)
         fits = [self.fitted(probe) for probe in probes]
         price = 0.5 * float(np.log(self.train.n_samples))
         best = min([*fits, self.fit], key=lambda fit: fit.cost + price * fit.n_parameters)
@@ -251,14 +246,11 @@ class Bench(System[Effect, Fit]):
         a number. Held-out gains decide whether a name is accepted, not which one: of two right
         forms the one with more freedom would lose where few fitted rows lay.
         """
-        accepted = [c.evidence.score for c in candidates if c.accepted]
-        least = RUNNING_SHARE * max(accepted, default=np.inf)
-        every: Bench | None = None
-        out = []
-        for c in candidates:
-            runs = c.accepted and c.evidence.score >= least
-            every = self.everywhere() if runs and every is None else every
-            out.append(_on_all_rows(every, c) if runs and every is not None else c)
+        accepted = [c for c in candidates if c.accepted]
+        least = RUNNING_SHARE * max((c.evidence.score for c in accepted), default=np.inf)
+        running = [c for c in accepted if c.evidence.score >= least]
+        every = self.everywhere() if running else self
+        out = [_on_all_rows(every, c) if c in running else c for c in candidates]
         return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
 
     def second(
@@ -269,11 +261,9 @@ class Bench(System[Effect, Fit]):
     ) -> list[LagCandidate]:
         """Return a candidate with each second effect that its errors ask for."""
         there = replace(self, fit=head.fit)
-        prober, first = there.prober(), head.added[0]
-        probes = [prober.probe(e) for e in effects if e.name not in there.fit.structure.names]
         return [
-            Candidate((first, probe.effect), there.fitted(probe))
-            for probe in there.promising(probes, PAIR_TAILS)
+            Candidate((head.added[0], probe.effect), there.fitted(probe))
+            for probe in there.promising(there.prober().probes(effects), PAIR_TAILS)
             if head.keys | {probe.effect.key} not in known
         ]
 
@@ -303,9 +293,7 @@ class Bench(System[Effect, Fit]):
     ) -> tuple[LagCandidate, ...]:
         """Take one effect out of the model and see which others would do in its place."""
         without = self.without(one)
-        prober, present = without.prober(), without.fit.structure.names
-        names = [one] if one.unnamed else [e for e in effects if e.name not in present]
-        probes = without.promising([prober.probe(e) for e in names])
+        probes = without.promising(without.prober().probes([one] if one.unnamed else effects))
         tried = [without.weighed(p.candidate(without.fitted(p))) for p in probes]
         accepted = [c for c in without.ranked(tried) if c.accepted]
         own = next((c for c in accepted if c.name == one.name), None)
@@ -352,6 +340,13 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
     if len(trials) == 1:
         return start
     return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)
+
+
+def over_rows(noise: NoiseModel, fit: Fit, data: LagData) -> NoiseModel:
+    """Return a noise on φ with the slope of the characteristic over other rows."""
+    if noise.flow is None:
+        return noise
+    return replace(noise, flow=replace(noise.flow, slope=slope_of(fit, data)))
 
 
 def slope_of(fit: Fit, data: LagData) -> FloatArray:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.missing_effect.candidates import over_rows
 from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
@@ -45,10 +46,7 @@ class NoiseSource:
     @classmethod
     def of(cls, fit: Fit, noise: NoiseModel, data: LagData) -> NoiseSource:
         """Take the errors of a fit to all rows apart into what is new in each and its colour."""
-        if noise.flow is not None:
-            from comparisons.missing_effect.candidates import slope_of
-
-            noise = replace(noise, flow=replace(noise.flow, slope=slope_of(fit, data)))
+        noise = over_rows(noise, fit, data)
         metric = noise.metric()
         white = metric.whitened(fit.errors(data, Metric()), data) * noise.innovation
         kept = white[metric.rows(data) > 0.0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,6 +93,10 @@ class Prober:
             # Nothing is searched: each of the held values is tried.
             kept = tuple(starts[i] for i in order)
         return Probe(effect, best[0], best[1].shape[1], kept, best[1])
+
+    def probes(self, effects: Iterable[Effect]) -> list[Probe]:
+        """Return the scores of those effects that the model has not."""
+        return [self.probe(e) for e in effects if e.name not in self.fit.structure.names]
 
     def fitted(self, effect: Effect, more: Sequence[FloatArray] = ()) -> Fit | None:
         """Fit the model with one effect more, from where its score tells to begin, and others.
@@ -252,10 +256,7 @@ def leftover_of(
 
     The prober's model is fitted to all rows; ``part`` says which were fitted and held out before.
     """
-    present = set(prober.fit.structure.names)
-    probes = [
-        prober.probe(effect) for effect in (*effects, *open_terms) if effect.name not in present
-    ]
+    probes = prober.probes((*effects, *open_terms))
     searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
     few = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
     uneven = _unevenness(prober, part)

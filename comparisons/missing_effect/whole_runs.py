@@ -164,8 +164,7 @@ class WholeRuns(Bench):
         self, effects: Sequence[Effect], library: Sequence[Effect] = ()
     ) -> Tried[Effect, Fit]:
         """Fit all that these runs can show, in the plain metric."""
-        prober = self.prober()
-        probes = [prober.probe(effect) for effect in effects if effect.name not in self.named]
+        probes = self.prober().probes(e for e in effects if e.name not in self.named)
         return Tried(self, [p.candidate(self.fitted(p)) for p in probes if p.starts])
 
     def leftover(
