@@ -254,10 +254,7 @@ class Bench(System[Effect, Fit]):
         return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
 
     def second(
-        self,
-        head: LagCandidate,
-        effects: Sequence[Effect],
-        known: Collection[frozenset[Hashable]],
+        self, head: LagCandidate, effects: Sequence[Effect], known: Collection[frozenset[Hashable]]
     ) -> list[LagCandidate]:
         """Return a candidate with each second effect that its errors ask for."""
         there = replace(self, fit=head.fit)
@@ -268,10 +265,7 @@ class Bench(System[Effect, Fit]):
         ]
 
     def leftover(
-        self,
-        winner: LagCandidate | None,
-        effects: Sequence[Effect],
-        library: Sequence[Effect],
+        self, winner: LagCandidate | None, effects: Sequence[Effect], library: Sequence[Effect]
     ) -> Leftover:
         """Test the errors of the model, or of a winner, for what could still explain them."""
         every = self.everywhere()

@@ -119,10 +119,7 @@ def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
 
 
 def _concluded(
-    base: Bench,
-    final: Bench,
-    rounds: Sequence[LagRound],
-    sets: AliasSets,
+    base: Bench, final: Bench, rounds: Sequence[LagRound], sets: AliasSets
 ) -> LagDiagnosis:
     leftover, noise = rounds[-1].leftover, final.own_noise
     beside = any(effect.unnamed for effect in final.found)

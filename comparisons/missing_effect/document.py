@@ -26,11 +26,7 @@ Errors = dict[str, dict[str, Any]]
 
 
 def diagnosis_document(
-    d: Diagnosis,
-    *,
-    limits: Any = None,
-    separation: Any = None,
-    base: dict[str, Any] | None = None,
+    d: Diagnosis, *, limits: Any = None, separation: Any = None, base: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all that is known as plain JSON types.
 

@@ -225,10 +225,7 @@ class ExtendedLag(Displayed):
         return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
 
     def free_run_over(
-        self,
-        rows: FitRows,
-        records: Sequence[CoefficientSeries],
-        labels: IntArray | None = None,
+        self, rows: FitRows, records: Sequence[CoefficientSeries], labels: IntArray | None = None
     ) -> FloatArray:
         """Reconstruct the rows that a comparison fits, each segment from its measured start.
 
@@ -307,10 +304,7 @@ class ExtendedLag(Displayed):
                 for name, value, stderr in rows
             ],
             "effects": [added.to_json() for added in self.effects],
-            "references": {
-                **vars(self.references),
-                "phi_range": list(self.references.phi_range),
-            },
+            "references": {**vars(self.references), "phi_range": list(self.references.phi_range)},
             "noise": {
                 "sigma": self.noise_sigma,
                 "innovation": self.noise_innovation,

@@ -56,9 +56,7 @@ def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> Extende
 
 
 def refitted(
-    model: ExtendedLag,
-    records: Sequence[CoefficientSeries],
-    until_s: Sequence[float] | None = None,
+    model: ExtendedLag, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None = None
 ) -> ExtendedLag:
     """Return a model with all its numbers fitted to other records, each up to a time of its clock.
 
@@ -280,10 +278,7 @@ def extended_specs(
         named = replace(model, estimator=name)
         specs.append(
             EstimatorSpec(
-                name,
-                model.label,
-                partial(_fit_rows, named),
-                partial(_fit_records, named),
+                name, model.label, partial(_fit_rows, named), partial(_fit_records, named)
             )
         )
     return tuple(specs)

@@ -147,11 +147,7 @@ class Structure:
         return self.answer(data, self.ports(data, nonlinear), nonlinear, coefficients)
 
     def slopes(
-        self,
-        data: LagData,
-        nonlinear: FloatArray,
-        coefficients: FloatArray,
-        which: Sequence[int],
+        self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray, which: Sequence[int]
     ) -> FloatArray:
         """Return the derivative of the answer with respect to some parameters that are not linear.
 
@@ -304,10 +300,7 @@ def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: Float
 
 
 def fit_structure(
-    structure: Structure,
-    data: LagData,
-    metric: Metric,
-    starts: Sequence[FloatArray],
+    structure: Structure, data: LagData, metric: Metric, starts: Sequence[FloatArray]
 ) -> Fit:
     """Fit τ, terms and effects jointly to all scored rows, from the best of several starts.
 

@@ -189,9 +189,7 @@ def _segments(record: CoefficientSeries) -> _Piece:
     return runs, amplitudes
 
 
-def _record_signals(
-    record: CoefficientSeries,
-) -> tuple[dict[str, FloatArray], tuple[float, float]]:
+def _record_signals(record: CoefficientSeries) -> tuple[dict[str, FloatArray], tuple[float, float]]:
     """Return each known signal of a record on the fine grid, and the mean amplitudes of φ."""
     from scipy.interpolate import CubicSpline
 

@@ -100,10 +100,7 @@ def _added(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def open_terms(data: LagData) -> tuple[Effect, ...]:
     """Return the terms that these records can carry."""
     out = []
-    for names, acts, port in (
-        (_DRIVEN, _driven, "characteristic"),
-        (_ADDED, _added, "output"),
-    ):
+    for names, acts, port in ((_DRIVEN, _driven, "characteristic"), (_ADDED, _added, "output")):
         for name in names:
             if name.startswith("n*") and (
                 "Nc_frac" not in data or float(np.ptp(data["Nc_frac"])) < 1e-6

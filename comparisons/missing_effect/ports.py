@@ -66,9 +66,7 @@ class Ports:
     def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more inputs of the lag."""
         return replace(
-            self,
-            driven=np.column_stack([self.driven, columns]),
-            names=(*self.names, *names),
+            self, driven=np.column_stack([self.driven, columns]), names=(*self.names, *names)
         )
 
     def with_known(self, values: FloatArray) -> Ports:

@@ -247,10 +247,7 @@ class Leftover:
 
 
 def leftover_of(
-    prober: Prober,
-    part: NDArray[np.int8],
-    effects: Sequence[Effect],
-    open_terms: Sequence[Effect],
+    prober: Prober, part: NDArray[np.int8], effects: Sequence[Effect], open_terms: Sequence[Effect]
 ) -> Leftover:
     """Test the errors of a model for anything that open terms and effects could still explain.
 
