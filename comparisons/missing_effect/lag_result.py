@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import PurePath
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -123,6 +123,7 @@ class LagDiagnosis(Diagnosis):
     ripple: RippleLine | None = None
     reverse_loss: ReverseLoss | None = None
     catalogue: tuple[Effect, ...] = CATALOGUE
+    of_series: ClassVar[bool] = True
 
     @property
     def tau_before_s(self) -> float:
@@ -158,11 +159,6 @@ class LagDiagnosis(Diagnosis):
     def floor(self) -> tuple[float, ...]:
         """The measurement noise of ψ'."""
         return (self.gap.floor_rms,)
-
-    @property
-    def of_series(self) -> bool:
-        """Limits and separating measurements are known."""
-        return True
 
     @property
     def acts_unscored(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -328,12 +328,10 @@ class Diagnosis(Displayed):
         def own_document(self) -> dict[str, Any]:
             """Return what the JSON of this kind has beside that of all."""
 
-    # What one kind has to say and another has not.
-    @property
-    def of_series(self) -> bool:
-        """Whether limits and separating measurements can be asked for."""
-        return False
+    # Whether limits and separating measurements can be asked for.
+    of_series: ClassVar[bool] = False
 
+    # What one kind has to say and another has not.
     @property
     def whole_runs(self) -> bool:
         """Whether the records were taken as whole runs, averaged over the stall cells."""
