@@ -20,7 +20,7 @@ from comparisons.missing_effect.evidence import (
     Evidence,
     Rows,
     Tie,
-    alias_rows,
+    are_alike,
     evidence_of,
 )
 from surge_core.types import FloatArray
@@ -243,10 +243,15 @@ class System(ABC, Generic[A, F]):
         self, best: Candidate[A, F], others: Sequence[Candidate[A, F]], tie: Tie
     ) -> list[Candidate[A, F]]:
         """Return those of several that the rows do not tell from the best."""
-        pool = [best, *others]
-        errors, ranks = [c.errors for c in pool], [c.rank for c in pool]
-        ties = alias_rows(self.rows, self.base_errors, errors, ranks, tie)
-        return [c for c, same in zip(others, ties[1:], strict=True) if same]
+        top = max([best, *others], key=lambda c: c.rank)
+        return [
+            c
+            for c in others
+            if c is top
+            or are_alike(
+                self.rows, self.base_errors, (c.errors, top.errors), (c.rank, top.rank), tie
+            )
+        ]
 
     def second(
         self, head: Candidate[A, F], effects: Sequence[Any], known: Collection[frozenset[Hashable]]

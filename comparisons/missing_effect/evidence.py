@@ -6,7 +6,6 @@ many numbers it fitted, and how long it searched.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,28 +216,24 @@ def paired_z(gain: FloatArray, rows: Rows, *parts: int) -> float:
     return float(sums.sum()) / spread if spread > 0.0 else 0.0
 
 
-def alias_rows(
+def are_alike(
     rows: Rows,
     base: FloatArray,
-    errors: Sequence[FloatArray],
-    scores: Sequence[float],
+    errors: tuple[FloatArray, FloatArray],
+    scores: tuple[float, float],
     tie: Tie = ALIAS,
-) -> list[bool]:
-    """Return which of several candidates these rows cannot tell from the best, and which is it.
+) -> bool:
+    """Tell whether these rows cannot tell a candidate from the best, by errors and scores of both.
 
-    ``base`` are the whitened errors of the model without any, ``errors`` those of each candidate.
+    ``base`` are the whitened errors of the model without any.
     """
-    best = 0 if scores[0] >= max(scores) else int(np.argmax(scores))
-    out = []
-    for j, error in enumerate(errors):
-        gap = scores[best] - scores[j]
-        near = gap < max(tie.gap, tie.share * scores[best])
-        if not near and tie.z > -np.inf:
-            gain = 0.5 * (error**2 - errors[best] ** 2)
-            z = paired_z(gain, rows, TRAIN, LATER, OTHER)
-            near = z < tie.z and cosine_of(rows, base, error, errors[best]) > tie.cosine
-        out.append(j == best or near)
-    return out
+    (one, best), (score, most) = errors, scores
+    if most - score < max(tie.gap, tie.share * most):
+        return True
+    if tie.z == -np.inf:
+        return False
+    z = paired_z(0.5 * (one**2 - best**2), rows, TRAIN, LATER, OTHER)
+    return z < tie.z and cosine_of(rows, base, one, best) > tie.cosine
 
 
 def cosine_of(rows: Rows, base: FloatArray, one: FloatArray, other: FloatArray) -> float:

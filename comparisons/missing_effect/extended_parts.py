@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -84,12 +84,7 @@ class AddedEffect:
             "effect": self.name,
             "equation": self.effect.equation,
             "parameters": [
-                {
-                    "name": p.name,
-                    "value": finite(p.value),
-                    "stderr": finite(p.stderr),
-                    "unit": p.unit,
-                }
+                {**asdict(p), "value": finite(p.value), "stderr": finite(p.stderr)}
                 for p in self.numbers
             ],
             "coefficients": list(self.coefficients),
