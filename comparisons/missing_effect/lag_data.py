@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
-Part = Literal["train", "later", "other"]
 TRAIN, LATER, OTHER = 0, 1, 2
 
 
