@@ -129,8 +129,7 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     takes for a τ of a second, say. What is shaped by φ has no part of its own.
     """
     fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
-    effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
-    fit, data = fits[effect.name], bench.data
+    (effect, fit), data = min(fits, key=lambda both: both[1].cost), bench.data
     added = fit.output(data) - fit.without_amplitude(effect, data).output(data)
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 

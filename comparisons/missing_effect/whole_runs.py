@@ -275,9 +275,9 @@ def plain_bench(
     return replace(bench, log_tau=log_tau)
 
 
-def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> dict[str, Fit]:
-    """Return the model of a bench with each effect, by name."""
-    return {c.name: c.fit for c in bench.tried(effects).candidates}
+def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> list[tuple[Effect, Fit]]:
+    """Return the model of a bench with each effect that it can show."""
+    return [(c.added[0], c.fit) for c in bench.tried(effects).candidates]
 
 
 def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
@@ -323,18 +323,15 @@ def nulls_of(
             psi_p[run.start : run.start + stop - start] -= without[start:stop]
         twins.append(reading.twin(psi_p))
     rng = np.random.default_rng(0)
-
     rms = []
 
     def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
         data = whole_data(records, others)
         own = plain_bench(data, others, bench.fit.structure.terms, bench.n_names, bench.block_rows)
-        fits = fitted(own, tried)
         rms.append(rms_left(own))
         return {
-            e.name: (1.0 - fits[e.name].cost / own.fit.cost, number_of(e, fits[e.name], own))
-            for e in tried
-            if e.name in fits
+            e.name: (1.0 - fit.cost / own.fit.cost, number_of(e, fit, own))
+            for e, fit in fitted(own, tried)
         }
 
     measured, over_twins = [], []
