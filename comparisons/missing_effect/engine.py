@@ -110,19 +110,13 @@ class Candidate(Generic[A, F]):
 
     Parameters
     ----------
-    added : tuple
-        What it has that the model has not.
-    fit : Fit
-        To the rows fitted, in the metric of the round; the model's own where it promised too
-        little to be fitted.
-    errors : ndarray of shape (n,)
-        Whitened errors on all rows, by which it differs from others.
-    evidence : Evidence
-        For it.
-    promised : float
-        Log-units that a score test promised.
-    rank : float
-        Log-units by which candidates are ranked.
+    added, fit : tuple, Fit
+        What it has that the model has not, fitted to the rows in the metric of the round; the
+        model's own fit where it promised too little.
+    errors, evidence : ndarray of shape (n,), Evidence
+        Whitened errors on all rows, by which it differs from others, and what speaks for it.
+    promised, rank : float
+        Log-units that a score test promised, and those by which candidates are ranked.
     onward : Fit, optional
         The fit from which the model goes on: to all rows, or in the raw metric.
     slow : float
@@ -323,24 +317,20 @@ class Round(Generic[A, F]):
         The model of the round, in its metric.
     candidates : tuple of Candidate
         All that was tried, best first, pairs behind.
-    winner : Candidate or None
-        What is added; None where nothing is accepted.
-    aliases : tuple of Candidate
-        Those that the records cannot tell from the winner, the winner first.
+    winner, aliases : Candidate or None, tuple of Candidate
+        What is added, if anything is; those that the records cannot tell from it, it first.
     refused : mapping of str to str
         Effects that no signal can show, and why.
     leftover : Leftover
         What the winner, or the model itself, leaves; None where that is tested at the end.
     rivalled : bool
         Whether a term without a name does as well as the winner.
-    share : float
-        Share of the squared whitened errors that the winner explains.
-    rates : (float, float)
-        Log-units that the winner gains a row, on rows fitted and held out.
-    rival : Candidate or None
-        The best elsewhere that explains nearly as much as the winner.
-    rival_p : float
-        Chance of the winner's advantage if the rival were the truth.
+    share, rates : float, (float, float)
+        Share of the squared whitened errors that the winner explains, and the log-units that it
+        gains a row, on rows fitted and held out.
+    rival, rival_p : Candidate or None, float
+        The best elsewhere that explains nearly as much as the winner, and the chance of the
+        winner's advantage if it were the truth.
     """
 
     bench: Any

@@ -92,21 +92,17 @@ class Evidence:
     ----------
     train, later, other : float
         Gain on the rows fitted, on later time, on the other record (NaN without one).
-    z : float
-        Mean gain of the held-out blocks over its standard error.
-    p_value : float
-        Chance of the fitted gain without the effect, times all that was searched.
+    z, p_value : float
+        Mean gain of the held-out blocks over its standard error; chance of the fitted gain without
+        the effect, times all that was searched.
     score : float
         Fitted gain less half log n a number, plus the held-out gain.
-    share : float
-        Share of the squared errors of all rows that it explains; where model error, not noise,
-        rules the errors.
-    least_share : float
-        What that share must reach there, in place of the chance and of z.
-    many_blocks : bool
-        Whether several held-out blocks speak for it by themselves, and hardly one against it.
-    one_sided : bool
-        Whether the held-out blocks that lose are next to nothing beside those that win.
+    share, least_share : float
+        Share of the squared errors of all rows that it explains, where model error rules, not
+        noise; what it must reach there, in place of the chance and of z.
+    many_blocks, one_sided : bool
+        Whether several held-out blocks speak for it by themselves, and hardly one against it;
+        whether those that lose are next to nothing beside those that win.
     chance : float
         Log-units that the best of all that is searched wins by chance.
     at_end : bool

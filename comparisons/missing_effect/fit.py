@@ -179,20 +179,10 @@ class Structure:
 
 @dataclass(frozen=True)
 class Fit:
-    """A structure with its numbers.
+    """A structure with its numbers: log τ and those of the effects, and the linear coefficients.
 
-    Parameters
-    ----------
-    structure : Structure
-        Terms and effects.
-    nonlinear : ndarray of shape (p,)
-        log τ and the parameters of the effects.
-    coefficients : ndarray of shape (q,)
-        Linear parameters: terms, inputs that effects add, nuisances, added columns.
-    cost : float
-        Half the sum of squared errors in the metric of the fit.
-    converged : bool
-        Whether the search ended by itself.
+    The linear ones stand in the order of the terms, inputs that effects add, nuisances and added
+    columns; ``cost`` is half the sum of squared errors in the metric of the fit.
     """
 
     structure: Structure

@@ -19,15 +19,11 @@ class CheckRun:
 
     Parameters
     ----------
-    name : str
-        Of the record.
-    kind : {"fitted", "held out", "left out", "check"}
-        Fitted; held out of the fits; left out in turn, cycle by cycle; or a record that is only
-        simulated.
-    period_s : float
-        Sample period.
-    time_s : ndarray of shape (n,)
-        Clock of the record.
+    name, kind : str
+        Of the record; "fitted", "held out" of the fits, "left out" in turn, cycle by cycle, or
+        "check", a record that is only simulated.
+    period_s, time_s : float, ndarray of shape (n,)
+        Sample period, and clock of the record.
     outputs : mapping of str to str
         Names and units.
     measured, before, after : ndarray of shape (n, n_y)

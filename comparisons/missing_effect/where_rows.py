@@ -29,33 +29,23 @@ class Residuals:
 
     Parameters
     ----------
-    output, unit : str
-        Name of the output and its unit.
-    time_s : ndarray of shape (n,)
-        Clock of each row, in seconds.
+    output, unit, signal, signal_unit : str
+        Names and units of the output, and of the signal that the third panel is laid over.
+    time_s, over : ndarray of shape (n,)
+        Clock of each row, in seconds, and the signal.
     measured, before, after : ndarray of shape (n,)
         The output, and the models without and with what was added; NaN where it is not scored.
-    over : ndarray of shape (n,)
-        The signal that the third panel is laid over.
-    signal, signal_unit : str
-        Its name and unit.
     runs : tuple of slice
         Uniformly sampled pieces in order; nothing is carried from one to the next.
-    record : ndarray of int, shape (n,)
-        Number of the record of each row.
-    record_names : tuple of str
-        Names of the records.
-    period_s : float
-        Sample period.
+    record, record_names : ndarray of int of shape (n,), tuple of str
+        Number of the record of each row, and the names of the records.
+    period_s, cycle_hz : float
+        Sample period; main frequency of the signal, 0 where it has none.
     simulated : bool
         Whether the signal is the output itself, simulated. Residuals are part of a measured
         output: laid over that, noise alone gives a slope.
-    floor_rms : float
-        Measurement noise, where it is known.
-    ar : ndarray of shape (p,)
-        Its autoregression, e[k] = Σ aᵢ e[k−i] + white.
-    cycle_hz : float
-        Main frequency of the signal; 0 where it has none.
+    floor_rms, ar : float, ndarray of shape (p,)
+        Measurement noise, where it is known, and its autoregression, e[k] = Σ aᵢ e[k−i] + white.
     """
 
     output: str
