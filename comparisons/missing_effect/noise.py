@@ -106,9 +106,11 @@ def _with_flow_noise(
     n = int(np.count_nonzero(rows))
     column = np.ascontiguousarray(errors[:, None])
 
+    def noise_at(log_ratio: float) -> FlowNoise:
+        return FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(log_ratio)))
+
     def cost(log_ratio: float) -> tuple[float, float]:
-        noise = FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(log_ratio)))
-        white, half_log = noise.whitened(column, weight, data.runs)
+        white, half_log = noise_at(log_ratio).whitened(column, weight, data.runs)
         variance = float(np.sum(white**2)) / n
         return 0.5 * n * float(np.log(variance)) + half_log, variance
 
@@ -131,12 +133,17 @@ def _with_flow_noise(
     gain = rival - value - price
     if gain < FLOW_RELUCTANCE:
         return plain
-    flow = FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(found.x)))
     step = 0.3
     bend = (cost(found.x + step)[0] - 2.0 * value + cost(found.x - step)[0]) / step**2
     stderr = 0.5 * float(np.sqrt(variance * np.exp(found.x) / max(bend, 1e-6)))
     return NoiseModel(
-        plain.sigma, float(np.sqrt(variance)), (), plain.heavy_share, flow, gain, stderr
+        plain.sigma,
+        float(np.sqrt(variance)),
+        (),
+        plain.heavy_share,
+        noise_at(found.x),
+        gain,
+        stderr,
     )
 
 

@@ -65,6 +65,7 @@ _ADDED: dict[str, Function] = {
     "psi^3 at the output": lambda d, p, s, e: s**3,
     "sgn(dpsi) at the output": lambda d, p, s, e: np.sign(e),
 }
+_TERMS = {**_DRIVEN, **_ADDED}
 
 
 def with_state(data: LagData, fit: Fit) -> LagData:
@@ -87,37 +88,27 @@ def with_own_state(data: LagData, fit: Fit) -> LagData:
     return with_state(data, fit) if any(e.unnamed for e in fit.structure.effects) else data
 
 
-def _driven(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    column = _DRIVEN[name](data, data["phi_smooth"], data["state"], data["relaxation"])
-    return ports.with_driven(column[:, None], (name,))
-
-
-def _added(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    column = _ADDED[name](data, data["phi_smooth"], data["state"], data["relaxation"])
+def _acts(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    column = _TERMS[name](data, data["phi_smooth"], data["state"], data["relaxation"])
+    if name in _DRIVEN:
+        return ports.with_driven(column[:, None], (name,))
     return ports.with_added(data.sampled(column)[:, None], (name,))
 
 
 def open_terms(data: LagData) -> tuple[Effect, ...]:
     """Return the terms that these records can carry."""
-    out = []
-    for names, acts, port in ((_DRIVEN, _driven, "characteristic"), (_ADDED, _added, "output")):
-        for name in names:
-            if name.startswith("n*") and (
-                "Nc_frac" not in data or float(np.ptp(data["Nc_frac"])) < 1e-6
-            ):
-                continue
-            out.append(_open_term(name, partial(acts, name), port))
-    return tuple(out)
+    steady = "Nc_frac" not in data or float(np.ptp(data["Nc_frac"])) < 1e-6
+    return tuple(_open_term(name) for name in _TERMS if not (steady and name.startswith("n*")))
 
 
-def _open_term(name: str, acts: Callable[..., Ports], port: str) -> Effect:
+def _open_term(name: str) -> Effect:
     return Effect(
         name,
-        port,  # type: ignore[arg-type]
+        "characteristic" if name in _DRIVEN else "output",
         f"+ c {name}",
         "a term that no effect of the catalogue stands behind",
         (Parameter("c", "1", -np.inf, np.inf),),
-        acts,
+        partial(_acts, name),
         on_tau="unknown",
         confirm="unknown",
         unnamed=True,
