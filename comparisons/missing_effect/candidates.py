@@ -191,8 +191,8 @@ class Bench(System[Effect, Fit]):
 
     def without(self, effect: Effect) -> Bench:
         """Return the bench with one effect taken out of its model and the rest fitted again."""
-        structure, nonlinear = self.fit.structure.without(effect, self.fit.nonlinear)
-        fit = fit_structure(structure, self.train, self.train_metric, [nonlinear])
+        bare = self.fit.without(effect)
+        fit = fit_structure(bare.structure, self.train, self.train_metric, [bare.nonlinear])
         return replace(self, fit=fit).with_states()
 
     def tried(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Tried[Effect, Fit]:

@@ -78,7 +78,7 @@ def refitted(
     known = [added for added in model.effects if added.fitted and not added.effect.episodes]
     structure = Structure(model.terms, tuple(added.effect for added in known))
     start = [np.log([model.time_constant_s]), *(added.nonlinear for added in known)]
-    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, plain)
+    fit = refitted_on(Fit(structure, np.concatenate(start)), data, plain)
     for added in model.effects:
         if added not in known:
             fit = _with_effect(fit, added, data, plain)
@@ -86,7 +86,7 @@ def refitted(
     # In the order in which they were added, whatever order they were searched in.
     structure = Structure(model.terms, tuple(added.effect for added in model.effects))
     start = [fit.nonlinear[:1], *map(fit.values_of, structure.effects)]
-    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, metric)
+    fit = refitted_on(Fit(structure, np.concatenate(start)), data, metric)
     return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
 
 

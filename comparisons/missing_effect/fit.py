@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, starmap
 
@@ -187,8 +187,8 @@ class Fit:
 
     structure: Structure
     nonlinear: FloatArray
-    coefficients: FloatArray
-    cost: float
+    coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
+    cost: float = 0.0
     converged: bool = True
 
     @property
@@ -218,7 +218,7 @@ class Fit:
         for name, rows in layout.items():
             if name in groups and len(groups[name]) == rows.stop - rows.start:
                 coefficients[rows] = groups[name]
-        return cls(structure, nonlinear, coefficients, 0.0)
+        return cls(structure, nonlinear, coefficients)
 
     def groups(self, data: LagData) -> dict[str, FloatArray]:
         """Return the linear coefficients by what they belong to, as `Structure.layout` names it."""
@@ -228,6 +228,10 @@ class Fit:
     def values_of(self, effect: Effect) -> FloatArray:
         """Return the parameters of one effect that are not linear."""
         return self.structure.values_of(effect, self.nonlinear)
+
+    def without(self, effect: Effect) -> Fit:
+        """Return the model without an effect, to be fitted again."""
+        return Fit(*self.structure.without(effect, self.nonlinear))
 
     def without_amplitude(self, effect: Effect, data: LagData) -> Fit:
         """Return the model with the amplitude of one effect at zero, everything else as it is."""
@@ -384,10 +388,9 @@ def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tupl
     if ripple is None:
         return fit.errors(data, metric), (0.0, 0.0)
     frequency_hz, gate = fit.values_of(ripple)
-    structure, nonlinear = fit.structure.without(ripple, fit.nonlinear)
     # The ripple stands last behind the lag, so its columns are the last ones.
     n_bare = fit.coefficients.size - 2 * len(stall_episodes(data.train, float(gate)))
-    bare = Fit(structure, nonlinear, fit.coefficients[:n_bare], 0.0)
+    bare = replace(fit.without(ripple), coefficients=fit.coefficients[:n_bare])
     errors = bare.errors(data, metric)
     amplitudes = fit.coefficients[n_bare:]
     size = float(np.sqrt(2.0 * np.mean(amplitudes**2))) if amplitudes.size else 0.0

@@ -181,7 +181,7 @@ class Planter:
         """Score tests in the metric of the noise, and in units of its standard deviation."""
         train, rows = self.data.train, self.data.train_rows
         # Of a ripple in the model only the episodes that are fitted have columns there.
-        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients, 0.0)
+        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients)
         metric = self.source.noise.metric().on(rows)
         return Prober(fit, train, metric), Prober(fit, train, Metric(self.sigma))
 

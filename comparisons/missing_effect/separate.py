@@ -270,8 +270,7 @@ class _Rivals:
         data = references.on(diagnosis.data)
         data = data.with_parts(np.full(data.n_samples, TRAIN, dtype=np.int8))
         effect = next(e for e in after.structure.effects if e.name == winner)
-        structure, nonlinear = after.structure.without(effect, after.nonlinear)
-        without = refitted_on(Fit(structure, nonlinear, np.zeros(0), 0.0), data, metric)
+        without = refitted_on(after.without(effect), data, metric)
         prober = Prober(without, data, metric)
         fits = {
             member.name: after if member.name == winner else prober.fitted(member) or without
@@ -321,13 +320,11 @@ class _Rivals:
     def _between_taps(self, name: str, clean: FloatArray) -> float:
         """Return how far two taps differ that both are noisy, one with an effect of its own."""
         fit = self.fits[name]
+        bare = fit.without(next(effect for effect in self.effects if effect.name == name))
         groups = fit.groups(self.data)
-        structure, nonlinear = fit.structure.without(
-            next(effect for effect in self.effects if effect.name == name), fit.nonlinear
-        )
-        bare = Fit.assembled(structure, self.data, nonlinear, groups).output(self.data)
+        without = Fit.assembled(bare.structure, self.data, bare.nonlinear, groups)
         decay = fit.structure.respond_decay(self.data, fit.nonlinear)
-        seen = self.metric.seen(clean - bare, decay, self.data)
+        seen = self.metric.seen(clean - without.output(self.data), decay, self.data)
         return float(np.linalg.norm(seen) / np.sqrt(2.0))
 
     def _base(self, data: LagData) -> Fit:
