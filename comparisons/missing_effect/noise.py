@@ -182,16 +182,9 @@ class FlowNoise:
         self, columns: FloatArray, weight: FloatArray, runs: Index
     ) -> tuple[FloatArray, float]:
         """Return columns as innovations of unit variance, and half the logarithm of the rest."""
-        out, half_log = flow_noise_whiten(
-            np.ascontiguousarray(columns),
-            self.a,
-            self.now,
-            self.before,
-            np.ascontiguousarray(self.slope),
-            self.ratio,
-            weight,
-            runs,
-        )
+        columns, slope = map(np.ascontiguousarray, (columns, self.slope))
+        lag = self.a, self.now, self.before
+        out, half_log = flow_noise_whiten(columns, *lag, slope, self.ratio, weight, runs)
         return out, float(half_log)
 
 

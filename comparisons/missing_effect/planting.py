@@ -58,15 +58,19 @@ class NoiseSource:
         What is new in each error is drawn in blocks from the fit's own, so that its tails and its
         bursts are those of the record; then it is given the colour of the noise model.
         """
-        new = self._resampled(rng, self.data.n_samples)
-        if self.noise.flow is not None:
-            return new + self._from_flow(rng)
-        if not self.noise.ar:
-            return new
         from scipy.signal import lfilter
 
-        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
+        new, flow = self._resampled(rng, self.data.n_samples), self.noise.flow
         out = np.empty_like(new)
+        if flow is not None:
+            # What noise on φ leaves behind the lag.
+            driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(new.size)
+            for run in self.data.slices:
+                out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
+            return new + out
+        if not self.noise.ar:
+            return new
+        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
         for run in self.data.slices:
             ahead = self._resampled(rng, BURN_IN_ROWS)
             coloured = lfilter([1.0], feedback, np.concatenate([ahead, new[run]]))
@@ -78,18 +82,6 @@ class NoiseSource:
         first = rng.integers(0, self.white.size - size + 1, -(-n // size))
         rows = (first[:, None] + np.arange(size)).ravel()[:n]
         return np.asarray(self.white[rows])
-
-    def _from_flow(self, rng: np.random.Generator) -> FloatArray:
-        """Return what noise on φ leaves behind the lag."""
-        from scipy.signal import lfilter
-
-        flow = self.noise.flow
-        assert flow is not None
-        driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(self.data.n_samples)
-        out = np.empty_like(driven)
-        for run in self.data.slices:
-            out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
-        return out
 
 
 @dataclass(frozen=True)
