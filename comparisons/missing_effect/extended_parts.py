@@ -195,9 +195,8 @@ class FreeRun:
         for run in self.data.slices:
             rows = np.arange(run.start, run.stop)[self.scored[run]]
             marks = labels[self.at[rows]]
-            starts = [0, *(np.flatnonzero(np.diff(marks) != 0) + 1)]
-            for first, stop in zip(starts, [*starts[1:], rows.size], strict=True):
-                out[rows[first:stop]] = self._from_start(rows[first:stop])
+            for piece in np.split(rows, np.flatnonzero(np.diff(marks)) + 1):
+                out[piece] = self._from_start(piece)
         return out
 
     def one_step(self) -> tuple[FloatArray, BoolArray]:

@@ -19,6 +19,7 @@ from classic_ml.whole_run import check_rates
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, edges, sample_rows
 from surge_core.errors import InputError
+from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
 # Simulated at the sample step alone, the integration error of surge with harmonics reads as a
@@ -160,12 +161,12 @@ def _sizes(runs: Sequence[Run]) -> tuple[list[int], list[int]]:
 
 
 def _segments(record: CoefficientSeries) -> _Piece:
-    spans = []
-    for label in np.unique(record.segment[record.segment > 0]):
-        rows = np.flatnonzero(record.segment == label)
-        spans += np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     # In the order of the clock, whatever the intervals are called: what is held out is later.
-    spans = sorted((r for r in spans if r.size >= MINIMUM_SEGMENT_ROWS), key=lambda r: int(r[0]))
+    spans = [
+        span
+        for span in runs_of(record.segment, record.n_samples)
+        if record.segment[span.start] > 0 and span.stop - span.start >= MINIMUM_SEGMENT_ROWS
+    ]
     if not spans:
         raise InputError(
             record.source,
@@ -176,14 +177,14 @@ def _segments(record: CoefficientSeries) -> _Piece:
     known, amplitudes = _record_signals(record)
     runs = []
     for span in spans:
-        first, last = int(span[0]) - min(LEAD_ROWS, int(span[0])), int(span[-1])
-        fine = slice(first * FINE_STEPS, last * FINE_STEPS + 1)
+        first = max(span.start - LEAD_ROWS, 0)
+        fine = slice(first * FINE_STEPS, (span.stop - 1) * FINE_STEPS + 1)
         runs.append(
             Run(
                 {name: values[fine] for name, values in known.items()},
                 np.zeros((fine.stop - fine.start, 0)),
-                record.psi_p[first : last + 1],
-                (np.arange(first, last + 1) >= span[0]).astype(np.float64),
+                record.psi_p[first : span.stop],
+                (np.arange(first, span.stop) >= span.start).astype(np.float64),
             )
         )
     return runs, amplitudes

@@ -358,7 +358,13 @@ def changed(data: LagData, change: Change) -> LagData:
     scored = data.scored()
     phi = data.sampled(data["phi"])[scored]
     mean, span = float(phi.mean()), float(np.ptp(phi))
-    runs = [_changed_run(data, i, change, mean, span) for i in range(len(data.runs))]
+    runs, later_s = [], 0.0
+    for number, fine in enumerate(data.fine_runs):
+        run = _changed_run(data, number, change, mean, span)
+        # Each run begins as much later as those before it have become longer.
+        signals = {**run.signals, "time_s": run.signals["time_s"] + later_s}
+        later_s += (run.nuisance.shape[0] - int(np.diff(fine)[0])) * data.step_s
+        runs.append(replace(run, signals=signals))
     made = laid_out(runs, data.every)
     out = replace(
         data,
@@ -366,7 +372,7 @@ def changed(data: LagData, change: Change) -> LagData:
         part=np.full(made["weight"].size, TRAIN, dtype=np.int8),
         record=np.repeat(data.record[data.runs[:, 0]], np.diff(made["runs"])[:, 0]),
     )
-    return _with_own_references(_clocked(out, data))
+    return _with_own_references(out)
 
 
 def _changed_run(data: LagData, index: int, change: Change, mean: float, span: float) -> Run:
@@ -430,27 +436,15 @@ def _channel(values: FloatArray, at: FloatArray) -> FloatArray:
     return np.asarray(trend(np.arange(at.size, dtype=np.float64)) + _between(left, at))
 
 
-def _clocked(out: LagData, data: LagData) -> LagData:
-    """Let each run begin as much later as those before it have become longer."""
-    durations = [np.diff(d.fine_runs, axis=1)[:, 0] * d.step_s for d in (out, data)]
-    later = np.cumsum(durations[0] - durations[1])
-    shift = np.concatenate([[0.0], later[:-1]])
-    lengths = np.diff(out.fine_runs, axis=1)[:, 0]
-    return out.with_signal("time_s", out["time_s"] + np.repeat(shift, lengths))
-
-
 def _with_own_references(data: LagData) -> LagData:
     """Measure effects from what the experiment itself would show."""
-    scored = data.scored()
-    phi = data.sampled(data["phi"])[scored]
 
     def mean(name: str, known: float) -> float:
-        return float(np.mean(data.sampled(data[name])[scored])) if name in data else known
+        return float(np.mean(data.sampled(data[name])[data.scored()])) if name in data else known
 
     return replace(
-        data,
+        data.over_all_phi(),
         mean_amplitude=mean("amplitude", data.mean_amplitude),
         mean_amplitude_as_is=mean("amplitude_as_is", data.mean_amplitude_as_is),
         mean_speed=mean("Nc_frac", data.mean_speed),
-        phi_range=(float(phi.min()), float(phi.max())),
     )

@@ -12,6 +12,7 @@ import numpy as np
 from comparisons.missing_effect.kernels import piecewise_cubics, shifted
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.segments import scored_pieces
 from surge_core.types import FloatArray
 
 THRESHOLD_QUANTILES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -281,13 +282,8 @@ def stall_episodes(data: LagData, gate: float) -> list[slice]:
         state = data.sampled(data["stalled"]) > 0.5
     else:
         state = data.sampled(data["phi"]) < gate
-    out = []
-    for run in data.slices:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], state[run], [0]])))
-        for first, stop in edges.reshape(-1, 2) + run.start:
-            if stop - first >= SHORTEST_EPISODE:
-                out.append(slice(int(first), int(stop)))
-    return out
+    pieces = [piece for run in data.slices for piece in scored_pieces(state.astype(float), run)]
+    return [piece for piece in pieces if piece.stop - piece.start >= SHORTEST_EPISODE]
 
 
 def _ripple_grid(data: LagData) -> FloatArray:
