@@ -31,11 +31,11 @@ from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
-from comparisons.results import FitRows, evaluate_terms
+from comparisons.results import FitRows, FittedLag, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
-from surge_core.rounding import bracketed, round_to_error, significant
+from surge_core.rounding import round_to_error, significant
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Channels of a series that an effect may need; the others follow from φ.
@@ -279,12 +279,10 @@ class ExtendedLag(Displayed):
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
-        right = " ".join(
-            _term(name, value, stderr)
-            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
-        ).removeprefix("+ ")
-        tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
-        text = f"{tau_ms} ms · dψ'/dt + ψ' = {right or '0'}"
+        tau = self.time_constant_s, self.time_constant_stderr_s
+        numbers = self.terms, self.coefficients, self.stderr
+        lag = FittedLag("", self.target, *tau, *numbers, self.hold, self.valid_phi, self.table)
+        text = lag.equation()
         for added in self.effects:
             text += f"; {added.name}: {added.effect.equation}, {_numbers(added)}"
         return text
@@ -366,12 +364,6 @@ def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> 
             intervals, *span = added.nonlinear
             columns.append(shape_columns(phi, span, int(intervals), n_powers(model.terms)))
     return np.column_stack(columns)
-
-
-def _term(name: str, value: float, stderr: float) -> str:
-    sign = "-" if value < 0.0 else "+"
-    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
-    return f"{sign} {bracketed(abs(value), stderr)}{factor}"
 
 
 def _numbers(added: AddedEffect) -> str:
