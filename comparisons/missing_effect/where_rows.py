@@ -219,7 +219,7 @@ class Where:
         return tuple(sorted(beyond, key=lambda name: -largest[name]))
 
     def to_json(self) -> dict[str, list[dict[str, Any]]]:
-        """Return the rows of each panel as plain dictionaries; None for what is not known.
+        """Return the rows of each panel as plain dictionaries; NaN for what is not known.
 
         Returns
         -------
@@ -230,9 +230,9 @@ class Where:
         """
         own = {"record": ", ".join(self.of.record_names), "output": self.of.output}
         return {
-            "time": [own | _plain({**asdict(row), "rms": row.before_rms}) for row in self.time],
-            "frequency": [own | _plain(asdict(row)) for row in self.frequency],
-            "flow": [own | self._flow_json(row, way) for way in WAYS[1:] for row in self.flow],
+            "time": [{**own, **asdict(row), "rms": row.before_rms} for row in self.time],
+            "frequency": [{**own, **asdict(row)} for row in self.frequency],
+            "flow": [{**own, **self._flow_json(row, way)} for way in WAYS[1:] for row in self.flow],
         }
 
     def _flow_json(self, row: SignalRow, way: str) -> dict[str, Any]:
@@ -243,25 +243,18 @@ class Where:
             for part in ("mean", "stderr")
         }
         means |= {f"{model}_{one}": cells[one].mean for model, cells in models for one in WAYS[1:]}
-        return _plain(
-            {
-                "signal": self.of.signal,
-                "simulated": self.of.simulated,
-                f"{self.of.signal}_from": row.low,
-                f"{self.of.signal}_to": row.high,
-                "low": row.low,
-                "high": row.high,
-                "at": row.at,
-                "direction": way,
-                **asdict(row.before[way]),
-                **means,
-            }
-        )
-
-
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    out = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in out.items()}
+        return {
+            "signal": self.of.signal,
+            "simulated": self.of.simulated,
+            f"{self.of.signal}_from": row.low,
+            f"{self.of.signal}_to": row.high,
+            "low": row.low,
+            "high": row.high,
+            "at": row.at,
+            "direction": way,
+            **asdict(row.before[way]),
+            **means,
+        }
 
 
 def describe(where: Where, *, two: bool) -> tuple[str, ...]:
