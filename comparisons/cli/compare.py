@@ -120,8 +120,8 @@ def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
     from classic_ml.whole_record_fit import N_TWINS
     from comparisons.harness.estimators import default_estimators
     from comparisons.harness.methods import OwnMethod
-    from comparisons.missing_effect.extended_estimator import extended_specs
     from comparisons.missing_effect.extended_file import load_extended
+    from comparisons.missing_effect.extended_refit import extended_specs
 
     if given.model is not None and given.hold != "first":
         raise InputError(

@@ -6,36 +6,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
-    from comparisons.missing_effect.diagnosis import diagnose
-    from comparisons.missing_effect.effect import Effect, Parameter
-    from comparisons.missing_effect.lag_result import LagDiagnosis
-    from comparisons.missing_effect.results import Diagnosis
-    from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-    from comparisons.missing_effect.systems.diagnosis import diagnose_model
-    from comparisons.missing_effect.systems.experiments import Experiment
-    from comparisons.missing_effect.systems.model import Model, P
-    from comparisons.missing_effect.systems.open_terms import open_effect
-    from comparisons.missing_effect.systems.places import SystemEffect
-    from comparisons.missing_effect.systems.results import SystemDiagnosis
-
-__all__ = [
-    "CATALOGUE",
-    "SYSTEM_CATALOGUE",
-    "Diagnosis",
-    "Effect",
-    "Experiment",
-    "LagDiagnosis",
-    "Model",
-    "P",
-    "Parameter",
-    "SystemDiagnosis",
-    "SystemEffect",
-    "diagnose",
-    "diagnose_model",
-    "find_effect",
-    "open_effect",
-]
+    from comparisons.missing_effect.catalogue import CATALOGUE as CATALOGUE
+    from comparisons.missing_effect.catalogue import find_effect as find_effect
+    from comparisons.missing_effect.diagnosis import diagnose as diagnose
+    from comparisons.missing_effect.effect import Effect as Effect
+    from comparisons.missing_effect.effect import Parameter as Parameter
+    from comparisons.missing_effect.lag_result import LagDiagnosis as LagDiagnosis
+    from comparisons.missing_effect.results import Diagnosis as Diagnosis
+    from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE as SYSTEM_CATALOGUE
+    from comparisons.missing_effect.systems.diagnosis import diagnose_model as diagnose_model
+    from comparisons.missing_effect.systems.experiments import Experiment as Experiment
+    from comparisons.missing_effect.systems.model import Model as Model
+    from comparisons.missing_effect.systems.model import P as P
+    from comparisons.missing_effect.systems.open_terms import open_effect as open_effect
+    from comparisons.missing_effect.systems.places import SystemEffect as SystemEffect
+    from comparisons.missing_effect.systems.results import SystemDiagnosis as SystemDiagnosis
 
 _HOMES = {
     "CATALOGUE": "catalogue",
@@ -54,6 +39,7 @@ _HOMES = {
     "SystemEffect": "systems.places",
     "SystemDiagnosis": "systems.results",
 }
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -16,15 +16,7 @@ from surge_core.errors import InputError
 
 @dataclass(frozen=True)
 class BaseTerms:
-    """Terms of a base characteristic, and those that could not be taken over.
-
-    Parameters
-    ----------
-    terms : tuple of str
-        Names whose functions are known.
-    dropped : tuple of str
-        Names of another form, which were left out.
-    """
+    """Terms of a base characteristic, and those left out because their function is not known."""
 
     terms: tuple[str, ...]
     dropped: tuple[str, ...] = ()
@@ -35,11 +27,6 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
 
     The rows that the diagnosis holds out take no part: else the structure would know them.
 
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        As for :func:`comparisons.missing_effect.diagnose`.
-
     Raises
     ------
     InputError
@@ -48,11 +35,18 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
     from classic_ml.whole_run_rows import has_whole_run
 
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
-    until_s = _fitted_until(ordered)
-    fitted = [record for record, until in zip(ordered, until_s, strict=True) if until is not None]
-    ends = [until for until in until_s if until is not None]
-    whole = all(has_whole_run(record) for record in ordered)
-    found = _whole_run_terms(fitted, ends) if whole else _row_terms(fitted, ends)
+    data = load_data(ordered)
+    time_s, rows = data.sampled(data["time_s"]), data.scored(TRAIN)
+    until_s = {
+        n: float(time_s[rows & (data.record == n)].max()) for n in np.unique(data.record[rows])
+    }
+    fitted = [ordered[number] for number in until_s]
+    if all(has_whole_run(record) for record in ordered):
+        from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
+
+        found = fit_sparse_whole_runs(fitted, until_s=list(until_s.values())).terms_
+    else:
+        found = _row_terms(fitted, list(until_s.values()))
     terms = tuple(name for name in found if is_known_term(name))
     if not terms:
         raise InputError(
@@ -64,31 +58,17 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
     return BaseTerms(terms, tuple(name for name in found if name not in terms))
 
 
-def _fitted_until(ordered: Sequence[CoefficientSeries]) -> list[float | None]:
-    """Return the time of the last fitted row of each record; None where none is fitted."""
-    data = load_data(ordered)
-    time_s = data.sampled(data["time_s"])
-    rows = [data.scored(TRAIN) & (data.record == number) for number in range(len(ordered))]
-    return [float(time_s[own].max()) if own.any() else None for own in rows]
-
-
-def _whole_run_terms(records: Sequence[CoefficientSeries], until_s: list[float]) -> list[str]:
-    from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
-
-    return list(fit_sparse_whole_runs(records, until_s=until_s).terms_)
-
-
 def _row_terms(records: Sequence[CoefficientSeries], until_s: list[float]) -> list[str]:
     from comparisons.harness.rows import stack_rows
     from sindy_surge import SparseLagRegressor
 
-    rows = stack_rows([_cut(r, end) for r, end in zip(records, until_s, strict=True)])
+    cut = [
+        replace(record, segment=np.where(record.time_s <= end, record.segment, 0))
+        for record, end in zip(records, until_s, strict=True)
+    ]
+    rows = stack_rows(cut)
     # Only the names are used: what resampling tells of their certainty is the structure command's.
     model = SparseLagRegressor(
         rows.sample_period_s, hold="first", psi_terms=False, output_name="psi_p", n_bootstrap=0
     )
     return list(model.fit(rows.X, rows.measured, segments=rows.labels).terms_)
-
-
-def _cut(record: CoefficientSeries, until_s: float) -> CoefficientSeries:
-    return replace(record, segment=np.where(record.time_s <= until_s, record.segment, 0))

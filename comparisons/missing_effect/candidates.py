@@ -11,18 +11,14 @@ import numpy as np
 
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
-from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Rows, Tie
-from comparisons.missing_effect.fit import Fit, fit_structure, solved
+from comparisons.missing_effect.fit import Fit, Structure, errors_on, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
-from comparisons.missing_effect.leftover import LEFTOVER_P, Leftover, leftover_of
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
+from comparisons.missing_effect.noise import Metric, NoiseModel, noise_of, weights_of
 from comparisons.missing_effect.open_terms import with_own_state, with_state
-from comparisons.missing_effect.probes import Probe, Prober
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.probes import LEFTOVER_P, Leftover, Probe, Prober, leftover_of
 from comparisons.results import evaluate_terms
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 # A score that promises less than this many log-units is not fitted: no threshold is that low.
 LEAST_PROMISE = 6.0
@@ -53,18 +49,8 @@ LagRound = Round[Effect, Fit]
 class Bench(System[Effect, Fit]):
     """Records, the model that stands so far, and the metric in which candidates are weighed.
 
-    Parameters
-    ----------
-    data : LagData
-        All records.
-    fit : Fit
-        Of the model so far, to the fitted rows.
-    metric : Metric
-        On all rows.
-    block_rows : int
-        Rows of a block.
-    n_names : int
-        Names that compete.
+    The fit is to the fitted rows, the metric one on all rows; ``block_rows`` are the rows of a
+    block, ``n_names`` the names that compete.
     """
 
     data: LagData
@@ -178,12 +164,25 @@ class Bench(System[Effect, Fit]):
         plain = fit.errors(data, Metric())
         return noise_of(plain, data.scored(TRAIN), data, slope_of(fit, data), fit.tau_s)
 
+    @property
+    def own_noise(self) -> NoiseModel:
+        """The noise by the errors of the model itself."""
+        return self.noise(self.fit)
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """Plain errors of the model on all rows; held-out ones are by a fit to others."""
+        return errors_on(self.fit, self.data, Metric())[0]
+
+    @property
+    def held(self) -> BoolArray:
+        """Rows that were held out."""
+        return self.data.scored() & (self.data.part != TRAIN)
+
     def in_metric_of(self, fit: Fit, noise: NoiseModel) -> Bench:
         """Return the bench in the metric that a noise asks for, the model fitted again."""
         plain = errors_on(fit, with_own_state(self.data, fit), Metric())[0]
-        if noise.flow is not None:
-            whole = replace(noise.flow, slope=slope_of(fit, self.data))
-            noise = replace(noise, flow=whole)
+        noise = over_rows(noise, fit, self.data)
         metric = noise.metric(weights_of(plain, noise, self.data))
         again = fit_structure(
             self.fit.structure, self.train, metric.on(self.data.train_rows), [self.fit.nonlinear]
@@ -192,18 +191,15 @@ class Bench(System[Effect, Fit]):
 
     def without(self, effect: Effect) -> Bench:
         """Return the bench with one effect taken out of its model and the rest fitted again."""
-        structure, nonlinear = self.fit.structure.without(effect, self.fit.nonlinear)
-        fit = fit_structure(structure, self.train, self.train_metric, [nonlinear])
+        bare = self.fit.without(effect)
+        fit = fit_structure(bare.structure, self.train, self.train_metric, [bare.nonlinear])
         return replace(self, fit=fit).with_states()
 
     def tried(self, effects: Sequence[Effect], library: Sequence[Effect]) -> Tried[Effect, Fit]:
         """Fit all that promises something to the end, in the metric of the best."""
-        prober, present = self.prober(), self.fit.structure.names
-        named, terms = (
-            [prober.probe(effect) for effect in some if effect.name not in present]
-            for some in (effects, library)
-        )
-        probes = [*self.promising(named), *self.promising(terms, MOST_OPEN_FITS)]
+        prober = self.prober()
+        probes = self.promising(prober.probes(effects))
+        probes += self.promising(prober.probes(library), MOST_OPEN_FITS)
         fits = [self.fitted(probe) for probe in probes]
         price = 0.5 * float(np.log(self.train.n_samples))
         best = min([*fits, self.fit], key=lambda fit: fit.cost + price * fit.n_parameters)
@@ -250,37 +246,26 @@ class Bench(System[Effect, Fit]):
         a number. Held-out gains decide whether a name is accepted, not which one: of two right
         forms the one with more freedom would lose where few fitted rows lay.
         """
-        accepted = [c.evidence.score for c in candidates if c.accepted]
-        least = RUNNING_SHARE * max(accepted, default=np.inf)
-        every: Bench | None = None
-        out = []
-        for c in candidates:
-            runs = c.accepted and c.evidence.score >= least
-            every = self.everywhere() if runs and every is None else every
-            out.append(_on_all_rows(every, c) if runs and every is not None else c)
+        accepted = [c for c in candidates if c.accepted]
+        least = RUNNING_SHARE * max((c.evidence.score for c in accepted), default=np.inf)
+        running = [c for c in accepted if c.evidence.score >= least]
+        every = self.everywhere() if running else self
+        out = [_on_all_rows(every, c) if c in running else c for c in candidates]
         return tuple(sorted(out, key=lambda c: (-c.rank, -c.evidence.score)))
 
     def second(
-        self,
-        head: LagCandidate,
-        effects: Sequence[Effect],
-        known: Collection[frozenset[Hashable]],
+        self, head: LagCandidate, effects: Sequence[Effect], known: Collection[frozenset[Hashable]]
     ) -> list[LagCandidate]:
         """Return a candidate with each second effect that its errors ask for."""
         there = replace(self, fit=head.fit)
-        prober, first = there.prober(), head.added[0]
-        probes = [prober.probe(e) for e in effects if e.name not in there.fit.structure.names]
         return [
-            Candidate((first, probe.effect), there.fitted(probe))
-            for probe in there.promising(probes, PAIR_TAILS)
+            Candidate((head.added[0], probe.effect), there.fitted(probe))
+            for probe in there.promising(there.prober().probes(effects), PAIR_TAILS)
             if head.keys | {probe.effect.key} not in known
         ]
 
     def leftover(
-        self,
-        winner: LagCandidate | None,
-        effects: Sequence[Effect],
-        library: Sequence[Effect],
+        self, winner: LagCandidate | None, effects: Sequence[Effect], library: Sequence[Effect]
     ) -> Leftover:
         """Test the errors of the model, or of a winner, for what could still explain them."""
         every = self.everywhere()
@@ -302,9 +287,7 @@ class Bench(System[Effect, Fit]):
     ) -> tuple[LagCandidate, ...]:
         """Take one effect out of the model and see which others would do in its place."""
         without = self.without(one)
-        prober, present = without.prober(), without.fit.structure.names
-        names = [one] if one.unnamed else [e for e in effects if e.name not in present]
-        probes = without.promising([prober.probe(e) for e in names])
+        probes = without.promising(without.prober().probes([one] if one.unnamed else effects))
         tried = [without.weighed(p.candidate(without.fitted(p))) for p in probes]
         accepted = [c for c in without.ranked(tried) if c.accepted]
         own = next((c for c in accepted if c.name == one.name), None)
@@ -338,16 +321,7 @@ def _on_all_rows(every: Bench, candidate: LagCandidate) -> LagCandidate:
 def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> FloatArray:
     """Return the best of a start and its neighbours, for the thresholds of effects that switch.
 
-    Parameters
-    ----------
-    structure : Structure
-        The model.
-    data : LagData
-        Rows; where one turns back just at a threshold, no slope leads over the jump.
-    metric : Metric
-        On these rows.
-    start : ndarray of shape (p,)
-        log τ and the parameters of the effects.
+    Where a row turns back just at a threshold, no slope leads over the jump.
     """
     trials = [start]
     reach = data.phi_range[1] - data.phi_range[0]
@@ -360,6 +334,13 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
     if len(trials) == 1:
         return start
     return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)
+
+
+def over_rows(noise: NoiseModel, fit: Fit, data: LagData) -> NoiseModel:
+    """Return a noise on φ with the slope of the characteristic over other rows."""
+    if noise.flow is None:
+        return noise
+    return replace(noise, flow=replace(noise.flow, slope=slope_of(fit, data)))
 
 
 def slope_of(fit: Fit, data: LagData) -> FloatArray:

@@ -12,20 +12,10 @@ LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
 
 
 def sandwich(normal: FloatArray, scores: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the covariance of numbers where the errors of a block may depend on each other.
+    """Return the covariance of m numbers where the errors of a block may depend on each other.
 
-    Parameters
-    ----------
-    normal : ndarray of shape (m, m)
-        Of their slopes.
-    scores : ndarray of shape (blocks, m)
-        Slopes times errors, summed over each block.
-
-    Returns
-    -------
-    covariance : ndarray of shape (m, m)
-    blind : ndarray of bool, shape (m,)
-        Which numbers the rows do not tell.
+    ``normal`` is that of their slopes, ``scores`` (blocks, m) slopes times errors summed over each
+    block. Beside it: which numbers the rows do not tell.
     """
     unit = np.sqrt(np.diag(normal))
     unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 0.0)
@@ -52,14 +42,8 @@ def largest_correlation(covariance: FloatArray) -> float:
 def orthonormal(columns: FloatArray, least: float = 1e-6, smallest: float = 1e-12) -> FloatArray:
     """Return an orthonormal basis of columns, without those that the others already span.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, m)
-        Columns.
-    least : float
-        Smallest share of a direction, beside the largest, that is one of its own.
-    smallest : float
-        Size up to which a column is rounding.
+    A direction below ``least`` of the largest is none of its own; a column up to ``smallest`` is
+    rounding.
     """
     size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     kept = np.asarray(columns[:, size > smallest] / size[size > smallest])

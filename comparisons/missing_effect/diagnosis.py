@@ -12,18 +12,15 @@ from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.episodes import errors_on
-from comparisons.missing_effect.excitation import block_rows
-from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
+from comparisons.missing_effect.fit import Structure
+from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.leftover import Leftover
-from comparisons.missing_effect.loading import is_whole, load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.loading import block_rows, is_whole, load_data
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
+from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import alias_sets, search
-from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
 from surge_core.errors import InputError
@@ -122,28 +119,12 @@ def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
 
 
 def _concluded(
-    base: Bench,
-    final: Bench,
-    rounds: Sequence[LagRound],
-    sets: AliasSets,
+    base: Bench, final: Bench, rounds: Sequence[LagRound], sets: AliasSets
 ) -> LagDiagnosis:
-    leftover, noise, data = rounds[-1].leftover, final.noise(final.fit), final.data
-    unnamed = [effect for effect in final.found if effect.unnamed]
-    diagnosis = concluded(
-        base,
-        final,
-        rounds,
-        sets,
-        otherwise=_otherwise(leftover, noise),
-        doubts=(*leftover.doubts, *(BESIDE_A_TERM for _ in unnamed[:1])),
-        noise=noise,
-        left=(
-            errors_on(base.fit, base.data, Metric())[0],
-            errors_on(final.fit, data, Metric())[0],
-        ),
-        held=data.scored() & np.isin(data.part, (LATER, OTHER)),
-        floor_rms=noise.sigma,
-    )
+    leftover, noise = rounds[-1].leftover, final.own_noise
+    beside = any(effect.unnamed for effect in final.found)
+    doubts = (*leftover.doubts, *[BESIDE_A_TERM] * beside)
+    diagnosis = concluded(base, final, rounds, sets, _otherwise(leftover, noise), doubts)
     verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.
@@ -158,7 +139,7 @@ def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
     """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
     sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
     evidence = {"gain_over_autoregression": noise.flow_gain}
-    return missing_effect(FLOW_NOISE, [FLOW_NOISE], (sigma,), evidence)
+    return missing_effect(FLOW_NOISE, (sigma,), evidence)
 
 
 def _otherwise(left: Leftover, noise: NoiseModel) -> str:

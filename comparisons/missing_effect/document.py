@@ -26,11 +26,7 @@ Errors = dict[str, dict[str, Any]]
 
 
 def diagnosis_document(
-    d: Diagnosis,
-    *,
-    limits: Any = None,
-    separation: Any = None,
-    base: dict[str, Any] | None = None,
+    d: Diagnosis, *, limits: Any = None, separation: Any = None, base: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all that is known as plain JSON types.
 
@@ -77,19 +73,10 @@ def diagnosis_document(
 
 
 def rmse_of(runs: Sequence[CheckRun]) -> Errors:
-    """Return the rms errors of runs, before and after.
+    """Return the rms errors of runs before and after: ``{split: {"before", "after", "unit"}}``.
 
-    Parameters
-    ----------
-    runs : sequence of CheckRun
-        The runs.
-
-    Returns
-    -------
-    dict of dict
-        ``{split: {"before", "after", "unit"}}``; a split is a record's name, with
-        ``"{output}_"`` before it where the model has several outputs. In the output's unit, or in
-        thousandths of it where that reads better.
+    A split is a record's name, with ``"{output}_"`` before it where the model has several outputs.
+    Errors are in the output's unit, or in thousandths of it where that reads better.
     """
     out: Errors = {}
     for run in runs:

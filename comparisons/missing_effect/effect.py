@@ -47,6 +47,11 @@ Grid = Callable[[LagData], FloatArray]
 Adapts = Callable[[LagData, FloatArray], FloatArray]
 
 
+def no_shape(data: LagData) -> FloatArray:
+    """Return the grid of an effect with nothing but an amplitude."""
+    return np.zeros((1, 0))
+
+
 @dataclass(frozen=True)
 class FittedParameter:
     """A number of an effect.
@@ -115,10 +120,10 @@ class Effect:
     says: str
     parameters: tuple[Parameter, ...]
     acts: Acts
-    grid: Grid
-    searched: float
-    on_tau: str
-    confirm: str
+    grid: Grid = no_shape
+    searched: float = 1.0
+    on_tau: str = ""
+    confirm: str = ""
     needs: str = ""
     episodes: bool = False
     unnamed: bool = False

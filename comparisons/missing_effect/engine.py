@@ -20,7 +20,7 @@ from comparisons.missing_effect.evidence import (
     Evidence,
     Rows,
     Tie,
-    alias_rows,
+    are_alike,
     evidence_of,
 )
 from surge_core.types import FloatArray
@@ -110,19 +110,13 @@ class Candidate(Generic[A, F]):
 
     Parameters
     ----------
-    added : tuple
-        What it has that the model has not.
-    fit : Fit
-        To the rows fitted, in the metric of the round; the model's own where it promised too
-        little to be fitted.
-    errors : ndarray of shape (n,)
-        Whitened errors on all rows, by which it differs from others.
-    evidence : Evidence
-        For it.
-    promised : float
-        Log-units that a score test promised.
-    rank : float
-        Log-units by which candidates are ranked.
+    added, fit : tuple, Fit
+        What it has that the model has not, fitted to the rows in the metric of the round; the
+        model's own fit where it promised too little.
+    errors, evidence : ndarray of shape (n,), Evidence
+        Whitened errors on all rows, by which it differs from others, and what speaks for it.
+    promised, rank : float
+        Log-units that a score test promised, and those by which candidates are ranked.
     onward : Fit, optional
         The fit from which the model goes on: to all rows, or in the raw metric.
     slow : float
@@ -243,10 +237,15 @@ class System(ABC, Generic[A, F]):
         self, best: Candidate[A, F], others: Sequence[Candidate[A, F]], tie: Tie
     ) -> list[Candidate[A, F]]:
         """Return those of several that the rows do not tell from the best."""
-        pool = [best, *others]
-        errors, ranks = [c.errors for c in pool], [c.rank for c in pool]
-        ties = alias_rows(self.rows, self.base_errors, errors, ranks, tie)
-        return [c for c, same in zip(others, ties[1:], strict=True) if same]
+        top = max([best, *others], key=lambda c: c.rank)
+        return [
+            c
+            for c in others
+            if c is top
+            or are_alike(
+                self.rows, self.base_errors, (c.errors, top.errors), (c.rank, top.rank), tie
+            )
+        ]
 
     def second(
         self, head: Candidate[A, F], effects: Sequence[Any], known: Collection[frozenset[Hashable]]
@@ -296,18 +295,10 @@ class System(ABC, Generic[A, F]):
 
 @dataclass(frozen=True, eq=False)
 class Tried(Generic[A, F]):
-    """What came out of a race.
+    """What came out of a race: the model in the metric of the best, and what was fitted in it.
 
-    Parameters
-    ----------
-    system : System
-        The model in the metric of the best.
-    candidates : sequence of Candidate
-        Fitted in that metric, not weighed yet.
-    others : sequence of Candidate
-        Those that promised too little, where they are listed too.
-    refused : mapping of str to str
-        Effects that no signal can show, and why.
+    ``others`` promised too little, where they are listed; ``refused`` says why no signal can show
+    an effect.
     """
 
     system: Any
@@ -326,24 +317,20 @@ class Round(Generic[A, F]):
         The model of the round, in its metric.
     candidates : tuple of Candidate
         All that was tried, best first, pairs behind.
-    winner : Candidate or None
-        What is added; None where nothing is accepted.
-    aliases : tuple of Candidate
-        Those that the records cannot tell from the winner, the winner first.
+    winner, aliases : Candidate or None, tuple of Candidate
+        What is added, if anything is; those that the records cannot tell from it, it first.
     refused : mapping of str to str
         Effects that no signal can show, and why.
     leftover : Leftover
         What the winner, or the model itself, leaves; None where that is tested at the end.
     rivalled : bool
         Whether a term without a name does as well as the winner.
-    share : float
-        Share of the squared whitened errors that the winner explains.
-    rates : (float, float)
-        Log-units that the winner gains a row, on rows fitted and held out.
-    rival : Candidate or None
-        The best elsewhere that explains nearly as much as the winner.
-    rival_p : float
-        Chance of the winner's advantage if the rival were the truth.
+    share, rates : float, (float, float)
+        Share of the squared whitened errors that the winner explains, and the log-units that it
+        gains a row, on rows fitted and held out.
+    rival, rival_p : Candidate or None, float
+        The best elsewhere that explains nearly as much as the winner, and the chance of the
+        winner's advantage if it were the truth.
     """
 
     bench: Any

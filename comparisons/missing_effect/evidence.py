@@ -6,7 +6,6 @@ many numbers it fitted, and how long it searched.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,13 +34,9 @@ LEAST_BLOCK_ROWS = 20
 class Tie:
     """When rows do not tell two models apart.
 
-    Parameters
-    ----------
-    gap, share : float
-        They are as close as this in log-units, or as this share of the better one's; or
-    z, cosine : float
-        the better one is ahead by fewer standard errors, block by block, and both correct the
-        model without them at this cosine or more.
+    They are as close as ``gap`` in log-units or as ``share`` of the better one's; or the better one
+    is ahead by fewer standard errors than ``z``, block by block, and both correct the model without
+    them at this cosine or more.
     """
 
     gap: float
@@ -55,17 +50,7 @@ ALIAS = Tie(LEAST_GAP, LEAST_GAP_SHARE, 2.33, 0.7)
 
 @dataclass(frozen=True)
 class Rows:
-    """Which rows are fitted and which are held out, and their blocks.
-
-    Parameters
-    ----------
-    part : ndarray of int, shape (n,)
-        0 fitted, 1 later time, 2 another record.
-    valid : ndarray of bool, shape (n,)
-        Rows that count.
-    block : ndarray of int, shape (n,)
-        Block of each row; no block lies in two parts.
-    """
+    """Which rows count, which part each is of, and its block; no block lies in two parts."""
 
     part: NDArray[np.int8]
     valid: NDArray[np.bool_]
@@ -107,21 +92,17 @@ class Evidence:
     ----------
     train, later, other : float
         Gain on the rows fitted, on later time, on the other record (NaN without one).
-    z : float
-        Mean gain of the held-out blocks over its standard error.
-    p_value : float
-        Chance of the fitted gain without the effect, times all that was searched.
+    z, p_value : float
+        Mean gain of the held-out blocks over its standard error; chance of the fitted gain without
+        the effect, times all that was searched.
     score : float
         Fitted gain less half log n a number, plus the held-out gain.
-    share : float
-        Share of the squared errors of all rows that it explains; where model error, not noise,
-        rules the errors.
-    least_share : float
-        What that share must reach there, in place of the chance and of z.
-    many_blocks : bool
-        Whether several held-out blocks speak for it by themselves, and hardly one against it.
-    one_sided : bool
-        Whether the held-out blocks that lose are next to nothing beside those that win.
+    share, least_share : float
+        Share of the squared errors of all rows that it explains, where model error rules, not
+        noise; what it must reach there, in place of the chance and of z.
+    many_blocks, one_sided : bool
+        Whether several held-out blocks speak for it by themselves, and hardly one against it;
+        whether those that lose are next to nothing beside those that win.
     chance : float
         Log-units that the best of all that is searched wins by chance.
     at_end : bool
@@ -173,24 +154,12 @@ def evidence_of(
     episodes: tuple[float, float] = (0.0, 0.0),
     one_sided: float = 0.0,
 ) -> Evidence:
-    """Weigh a candidate against the model without it.
+    """Weigh a candidate against the model without it, by whitened errors of fits to fitted rows.
 
-    Parameters
-    ----------
-    rows : Rows
-        Parts and blocks.
-    before, after : ndarray of shape (n,)
-        Whitened errors without and with it, by fits to the fitted rows alone.
-    added : int
-        Numbers that it fitted in addition.
-    searched : float
-        How many independent trials the search was worth, all candidates counted.
-    episodes : tuple of float
-        Log-units taken off the gain on later time and on the other record for phases that had to
-        be fitted there.
-    one_sided : float
-        What held-out blocks may lose, as a share of what the others win, where the effect may act
-        in episodes alone.
+    ``added`` numbers were fitted in addition, and the search was worth ``searched`` trials;
+    ``episodes`` is what phases fitted on later time and on the other record cost. Where the effect
+    may act in episodes alone, held-out blocks may lose the share ``one_sided`` of what the others
+    win.
     """
     from scipy.stats import chi2
 
@@ -243,44 +212,24 @@ def paired_z(gain: FloatArray, rows: Rows, *parts: int) -> float:
     return float(sums.sum()) / spread if spread > 0.0 else 0.0
 
 
-def alias_rows(
+def are_alike(
     rows: Rows,
     base: FloatArray,
-    errors: Sequence[FloatArray],
-    scores: Sequence[float],
+    errors: tuple[FloatArray, FloatArray],
+    scores: tuple[float, float],
     tie: Tie = ALIAS,
-) -> list[bool]:
-    """Tell which of several accepted candidates these rows cannot tell from the best.
+) -> bool:
+    """Tell whether these rows cannot tell a candidate from the best, by errors and scores of both.
 
-    Parameters
-    ----------
-    rows : Rows
-        Blocks.
-    base : ndarray of shape (n,)
-        Whitened errors of the model without any.
-    errors : sequence of ndarray of shape (n,)
-        Of each candidate.
-    scores : sequence of float
-        Of each candidate.
-    tie : Tie
-        When two look alike.
-
-    Returns
-    -------
-    list of bool
-        True for the best and for those that stand beside it.
+    ``base`` are the whitened errors of the model without any.
     """
-    best = 0 if scores[0] >= max(scores) else int(np.argmax(scores))
-    out = []
-    for j, error in enumerate(errors):
-        gap = scores[best] - scores[j]
-        near = gap < max(tie.gap, tie.share * scores[best])
-        if not near and tie.z > -np.inf:
-            gain = 0.5 * (error**2 - errors[best] ** 2)
-            z = paired_z(gain, rows, TRAIN, LATER, OTHER)
-            near = z < tie.z and cosine_of(rows, base, error, errors[best]) > tie.cosine
-        out.append(j == best or near)
-    return out
+    (one, best), (score, most) = errors, scores
+    if most - score < max(tie.gap, tie.share * most):
+        return True
+    if tie.z == -np.inf:
+        return False
+    z = paired_z(0.5 * (one**2 - best**2), rows, TRAIN, LATER, OTHER)
+    return z < tie.z and cosine_of(rows, base, one, best) > tie.cosine
 
 
 def cosine_of(rows: Rows, base: FloatArray, one: FloatArray, other: FloatArray) -> float:

@@ -22,7 +22,7 @@ from comparisons.harness.saved_models import (
     save_models,
 )
 from comparisons.missing_effect.catalogue import CATALOGUE
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import (

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.extended_parts import (
     BENDING,
@@ -20,23 +20,22 @@ from comparisons.missing_effect.extended_parts import (
     REVERSE,
     SHAPE,
     AddedEffect,
+    FreeRun,
     FrozenReferences,
     by_record,
     finite,
     on_segments,
     rows_in,
 )
-from comparisons.missing_effect.extended_run import FreeRun
-from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
-from comparisons.missing_effect.structure import TERMS, Structure
-from comparisons.results import FitRows, evaluate_terms
+from comparisons.results import FitRows, FittedLag, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
-from surge_core.rounding import bracketed, round_to_error, significant
+from surge_core.rounding import round_to_error, significant
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Channels of a series that an effect may need; the others follow from φ.
@@ -101,6 +100,11 @@ class ExtendedLag(Displayed):
     def label(self) -> str:
         """What people call it."""
         return " + ".join(["lag", *(added.name for added in self.effects)])
+
+    @property
+    def bending(self) -> tuple[AddedEffect, ...]:
+        """Effects that are functions of φ alone, and so bend the characteristic."""
+        return tuple(one for one in self.effects if one.name in BENDING and one.acts)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -221,10 +225,7 @@ class ExtendedLag(Displayed):
         return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
 
     def free_run_over(
-        self,
-        rows: FitRows,
-        records: Sequence[CoefficientSeries],
-        labels: IntArray | None = None,
+        self, rows: FitRows, records: Sequence[CoefficientSeries], labels: IntArray | None = None
     ) -> FloatArray:
         """Reconstruct the rows that a comparison fits, each segment from its measured start.
 
@@ -273,21 +274,15 @@ class ExtendedLag(Displayed):
 
     def curve_terms(self) -> tuple[tuple[str, ...], FloatArray]:
         """Return the names of all that is a function of φ alone, and one coefficient a column."""
-        names, values = list(self.terms), list(self.coefficients)
-        for added in self.effects:
-            if added.name in BENDING and added.acts:
-                names.append(added.name)
-                values += added.coefficients
-        return tuple(names), np.array(values)
+        values = [*self.coefficients, *(b for one in self.bending for b in one.coefficients)]
+        return (*self.terms, *(one.name for one in self.bending)), np.array(values)
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
-        right = " ".join(
-            _term(name, value, stderr)
-            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
-        ).removeprefix("+ ")
-        tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
-        text = f"{tau_ms} ms · dψ'/dt + ψ' = {right or '0'}"
+        tau = self.time_constant_s, self.time_constant_stderr_s
+        numbers = self.terms, self.coefficients, self.stderr
+        lag = FittedLag("", self.target, *tau, *numbers, self.hold, self.valid_phi, self.table)
+        text = lag.equation()
         for added in self.effects:
             text += f"; {added.name}: {added.effect.equation}, {_numbers(added)}"
         return text
@@ -307,10 +302,7 @@ class ExtendedLag(Displayed):
                 for name, value, stderr in rows
             ],
             "effects": [added.to_json() for added in self.effects],
-            "references": {
-                **vars(self.references),
-                "phi_range": list(self.references.phi_range),
-            },
+            "references": {**vars(self.references), "phi_range": list(self.references.phi_range)},
             "noise": {
                 "sigma": self.noise_sigma,
                 "innovation": self.noise_innovation,
@@ -369,16 +361,9 @@ def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> 
         if added.name == REVERSE and added.name in names:
             columns.append(evaluate_terms(["phi^2[phi<0]"], phi))
         elif added.name == SHAPE and added.name in names:
-            intervals, low, high = added.nonlinear
-            own = shape_columns(phi, (low, high), int(intervals), n_powers(model.terms))
-            columns.append(own)
+            intervals, *span = added.nonlinear
+            columns.append(shape_columns(phi, span, int(intervals), n_powers(model.terms)))
     return np.column_stack(columns)
-
-
-def _term(name: str, value: float, stderr: float) -> str:
-    sign = "-" if value < 0.0 else "+"
-    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
-    return f"{sign} {bracketed(abs(value), stderr)}{factor}"
 
 
 def _numbers(added: AddedEffect) -> str:

@@ -1,18 +1,21 @@
-"""What a lag model with effects is made of: the effects with their numbers, and references."""
+"""Parts of a lag model with effects: effects with numbers, references, the run of a record."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
+from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.ports import Ports, ages, lag_times
 from comparisons.results import FitRows
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -20,6 +23,9 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 MOST_EFFECTS = 3
 # Effects that are functions of φ alone, and so bend the characteristic.
 REVERSE, SHAPE = BENDING = ("reverse_flow_branch", "characteristic_shape")
+# The start of a lag of second order is read from so many of its short times, and rows at least.
+START_TIMES = 2.0
+LEAST_START_ROWS = 4
 
 
 @dataclass(frozen=True)
@@ -78,12 +84,7 @@ class AddedEffect:
             "effect": self.name,
             "equation": self.effect.equation,
             "parameters": [
-                {
-                    "name": p.name,
-                    "value": finite(p.value),
-                    "stderr": finite(p.stderr),
-                    "unit": p.unit,
-                }
+                {**asdict(p), "value": finite(p.value), "stderr": finite(p.stderr)}
                 for p in self.numbers
             ],
             "coefficients": list(self.coefficients),
@@ -162,3 +163,84 @@ def rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
 def finite(value: float) -> float | None:
     """Return a number for JSON, None where it is not known."""
     return float(value) if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """A model on the rows of one record, in the references of the model.
+
+    ``at`` is the row of the record that each sample stands for.
+    """
+
+    data: LagData
+    fit: Fit
+    at: IntArray
+
+    @property
+    def scored(self) -> BoolArray:
+        """Samples in a segment, beside those that lead to it."""
+        return self.data.weight > 0.0
+
+    @cached_property
+    def free(self) -> FloatArray:
+        """ψ' at every sample, each run from rest."""
+        return self.fit.output(self.data)
+
+    def started(self, labels: IntArray) -> FloatArray:
+        """Return what the measured starts add: it dies away with the lag.
+
+        Where the labels of the record's rows change within a run, it starts again.
+        """
+        out = np.zeros(self.free.size)
+        for run in self.data.slices:
+            rows = np.arange(run.start, run.stop)[self.scored[run]]
+            marks = labels[self.at[rows]]
+            for piece in np.split(rows, np.flatnonzero(np.diff(marks)) + 1):
+                out[piece] = self._from_start(piece)
+        return out
+
+    def one_step(self) -> tuple[FloatArray, BoolArray]:
+        """Return each sample predicted from the measured one before it, and where there is one."""
+        free, gain = self.free, self._gain
+        known = np.zeros(free.size, dtype=np.bool_)
+        for run in self.data.slices:
+            known[run.start + 1 : run.stop] = self.scored[run][:-1] & self.scored[run][1:]
+        now = np.flatnonzero(known)
+        before = now - 1
+        left = gain[now] / gain[before] * np.exp(self._age[before] - self._age[now])
+        out = free.copy()
+        out[now] += left * (self.data.measured[before] - free[before])
+        return out, known
+
+    @cached_property
+    def _ports(self) -> Ports:
+        return self.fit.structure.ports(self.data, self.fit.nonlinear)
+
+    @property
+    def _gain(self) -> FloatArray:
+        gain = self._ports.out_gain
+        return np.ones(self.data.n_samples) if gain is None else gain
+
+    def _from_start(self, piece: IntArray) -> FloatArray:
+        """Return what the measured start of a piece adds to its rows."""
+        gain, off = self._gain[piece], self.data.measured[piece] - self.free[piece]
+        lasting = np.exp(self._age[piece[0]] - self._age[piece])
+        if self._ports.a2_s2 == 0.0:
+            return np.asarray(off[0] / gain[0] * gain * lasting)
+        # ψ' and its rate: two numbers, of which one row measures but one. A lag of second order
+        # forgets in two ways, the second a swing or a shorter time.
+        slow_s, fast_s, turn = lag_times(self.fit.tau_s, self._ports.a2_s2)
+        period_s = self.data.sample_period_s
+        since_s = (piece - piece[0]) * period_s
+        if turn > 0.0:
+            second, lasts_s = np.exp(-since_s / slow_s) * np.sin(turn * since_s), 1.0 / turn
+        else:
+            second, lasts_s = np.exp(-since_s / fast_s), fast_s
+        modes = gain[:, None] * np.column_stack([lasting, second])
+        n = max(LEAST_START_ROWS, round(START_TIMES * lasts_s / period_s))
+        sizes = np.linalg.lstsq(modes[:n], off[:n], rcond=1e-6)[0]
+        return np.asarray(modes @ sizes)
+
+    @cached_property
+    def _age(self) -> FloatArray:
+        return ages(self._ports, self.data, self.fit.tau_s)

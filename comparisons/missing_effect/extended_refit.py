@@ -1,46 +1,45 @@
-"""Fitting the numbers of a lag model with effects, and taking them out of a fit."""
+"""Fitting a lag model with effects, and its place beside the other estimators of a comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.estimators import EstimatorSpec
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench, refitted_on
+from comparisons.missing_effect.conclusion import covariance_of, fitted_parameters
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
-from comparisons.missing_effect.extended_parts import BENDING, AddedEffect, FrozenReferences
-from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.extended_parts import (
+    REVERSE,
+    SHAPE,
+    AddedEffect,
+    FrozenReferences,
+    by_record,
+    on_segments,
+)
+from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import weights_of
+from comparisons.missing_effect.loading import block_rows, load_data
+from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
-from comparisons.missing_effect.structure import TERMS, Structure
-from comparisons.missing_effect.uncertainty import (
-    covariance_of,
-    fitted_parameters,
-)
+from comparisons.results import FitRows
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 121
+_CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 
 def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
     """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
-
-    Parameters
-    ----------
-    source : LagDiagnosis or Fit
-        What was fitted.
-    data : LagData, optional
-        The rows of a fit; a diagnosis has its own.
 
     Raises
     ------
@@ -52,34 +51,17 @@ def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> Extende
         return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
     if data is None:
         raise InputError("data", expected="the rows that the fit was made on", found="none")
-    _refuse_unnamed(source)
     bench = _bench(source, data)
     return _value(source, replace(bench, metric=_own_metric(bench)))
 
 
 def refitted(
-    model: ExtendedLag,
-    records: Sequence[CoefficientSeries],
-    until_s: Sequence[float] | None = None,
+    model: ExtendedLag, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None = None
 ) -> ExtendedLag:
-    """Return a model with all its numbers fitted to other records.
+    """Return a model with all its numbers fitted to other records, each up to a time of its clock.
 
     τ, characteristic and effects are fitted jointly to every scored row; an effect that was just
-    added is searched for first.
-
-    Parameters
-    ----------
-    model : ExtendedLag
-        The model.
-    records : sequence of CoefficientSeries
-        At one sample rate. Records that all carry unfiltered columns are taken as free runs.
-    until_s : sequence of float, optional
-        Score each record up to this time only, in seconds on its clock.
-
-    Raises
-    ------
-    InputError
-        When the records hold too few rows or lack a channel that an effect needs.
+    added is searched for first. Records that all carry unfiltered columns are taken as free runs.
     """
     data = _fitted_data(records, until_s)
     for added in model.effects:
@@ -96,7 +78,7 @@ def refitted(
     known = [added for added in model.effects if added.fitted and not added.effect.episodes]
     structure = Structure(model.terms, tuple(added.effect for added in known))
     start = [np.log([model.time_constant_s]), *(added.nonlinear for added in known)]
-    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, plain)
+    fit = refitted_on(Fit(structure, np.concatenate(start)), data, plain)
     for added in model.effects:
         if added not in known:
             fit = _with_effect(fit, added, data, plain)
@@ -104,7 +86,7 @@ def refitted(
     # In the order in which they were added, whatever order they were searched in.
     structure = Structure(model.terms, tuple(added.effect for added in model.effects))
     start = [fit.nonlinear[:1], *map(fit.values_of, structure.effects)]
-    fit = refitted_on(Fit(structure, np.concatenate(start), np.zeros(0), 0.0), data, metric)
+    fit = refitted_on(Fit(structure, np.concatenate(start)), data, metric)
     return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
 
 
@@ -150,7 +132,7 @@ def _own_metric(bench: Bench) -> Metric:
     return noise.metric(weights_of(errors, noise, bench.data))
 
 
-def _refuse_unnamed(fit: Fit) -> None:
+def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     for effect in fit.structure.effects:
         if effect.unnamed:
             raise InputError(
@@ -159,14 +141,9 @@ def _refuse_unnamed(fit: Fit) -> None:
                 found=f"the term {effect.name}, which has no name",
                 remedy="it says that something is missing and is no model of it",
             )
-
-
-def _value(fit: Fit, bench: Bench) -> ExtendedLag:
-    _refuse_unnamed(fit)
-    data = bench.data
-    noise = bench.noise(fit)
-    covariance = covariance_of(fit, data, bench)
-    parameters = fitted_parameters(fit, bench)
+    data, noise = bench.data, bench.noise(fit)
+    covariance = covariance_of(fit, bench)
+    parameters = fitted_parameters(fit, bench, covariance)
     n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
     linear = covariance[n_free:, n_free:]
     groups = fit.groups(data)
@@ -175,7 +152,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
     phi = data.sampled(data["phi"])[data.scored()]
     model = ExtendedLag(
         fit.tau_s,
-        parameters["tau"][0].stderr,
+        fit.tau_s * float(np.sqrt(max(covariance[0, 0], 0.0))),
         fit.structure.terms,
         tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
@@ -207,18 +184,120 @@ def _table(
     names, coefficients = model.curve_terms()
     columns = curve_columns(names, grid, model)
     slices = fit.structure.layout(data, fit.nonlinear)
-    rows = np.concatenate(
-        [
-            np.arange(len(model.terms)),
-            *[
-                np.arange(slices[added.name].start, slices[added.name].stop)
-                for added in model.effects
-                if added.name in BENDING and added.acts
-            ],
-        ]
-    )
+    bending = names[len(model.terms) :]
+    rows = np.r_[tuple(slices[name] for name in (TERMS, *bending))]
     own = covariance[np.ix_(rows, rows)]
     variance = np.einsum("ij,jk,ik->i", columns, own, columns)
     value = columns @ coefficients
     error = np.sqrt(np.maximum(variance, 0.0))
     return tuple(zip(grid.tolist(), value.tolist(), error.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class ExtendedLagFit:
+    """A fitted lag model with effects, with the attributes of an estimator.
+
+    Its terms and its characteristic are functions of φ alone; what else the model holds is in
+    ``extended_``, which reconstructs.
+
+    Parameters
+    ----------
+    extended_ : ExtendedLag
+        The model.
+    from_whole_runs_ : bool
+        Whether it was fitted to unfiltered signals of whole records.
+    """
+
+    extended_: ExtendedLag
+    from_whole_runs_: bool = False
+
+    @property
+    def time_constant_s_(self) -> float:
+        """τ, in seconds."""
+        return self.extended_.time_constant_s
+
+    @property
+    def time_constant_stderr_s_(self) -> float:
+        """Its standard error, in seconds."""
+        return self.extended_.time_constant_stderr_s
+
+    @property
+    def terms_(self) -> list[str]:
+        """Names of the terms, effects that are functions of φ alone among them."""
+        return [*self.extended_.terms, *(_CURVE_NAMES[one.name] for one in self._bending)]
+
+    @property
+    def coef_(self) -> FloatArray:
+        """One coefficient a term; of a free shape the largest it adds."""
+        return np.array([*self.extended_.coefficients, *(one.values[0] for one in self._bending)])
+
+    @property
+    def covariance_(self) -> FloatArray:
+        """Variances of the coefficients; those between them are in the characteristic's error."""
+        return np.diag(
+            np.square([*self.extended_.stderr, *(one.stderr[0] for one in self._bending)])
+        )
+
+    @property
+    def n_blocks_(self) -> int:
+        """Blocks behind the standard errors."""
+        return self.extended_.n_blocks
+
+    @property
+    def cautions_(self) -> tuple[str, ...]:
+        """What a reader should know of its scores."""
+        words = [
+            f"{name} is left out of the reconstruction: its phase is not known beforehand"
+            for name in self.extended_.left_out
+        ]
+        if self.from_whole_runs_:
+            words.append("fitted to unfiltered signals, scored on the filtered rows of the others")
+        return tuple(words)
+
+    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return ψ'_QS and its standard error at φ, of shape (n,)."""
+        points = np.asarray(phi, dtype=np.float64)
+        grid, _, stderr = np.asarray(self.extended_.table).T
+        return self.extended_.quasi_steady(points), np.interp(points, grid, stderr)
+
+    @property
+    def _bending(self) -> tuple[AddedEffect, ...]:
+        return self.extended_.bending
+
+
+def extended_specs(
+    models: Mapping[str, ExtendedLag], taken: Collection[str] = ()
+) -> tuple[EstimatorSpec, ...]:
+    """Return how models read from a file take part in a comparison: refitted, structure kept.
+
+    One whose name another estimator has (``taken``) is called ``extended_…``.
+    """
+    specs = []
+    for key, model in models.items():
+        name = f"extended_{key}" if key in taken else key
+        named = replace(model, estimator=name)
+        specs.append(
+            EstimatorSpec(
+                name, model.label, partial(_fit_rows, named), partial(_fit_records, named)
+            )
+        )
+    return tuple(specs)
+
+
+def _fit_records(
+    model: ExtendedLag, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
+) -> ExtendedLagFit:
+    return ExtendedLagFit(refitted(model, records, until_s), from_whole_runs_=True)
+
+
+def _fit_rows(
+    model: ExtendedLag, rows: FitRows, records: Sequence[CoefficientSeries]
+) -> ExtendedLagFit:
+    """Fit the rows alone, with what their records know beside φ."""
+    marked = []
+    for record, own, at in by_record(rows, records):
+        if np.any(own):
+            labels = np.zeros(record.n_samples, dtype=np.int64)
+            labels[at] = rows.labels[own]
+            marked.append(on_segments(record, labels))
+    return ExtendedLagFit(refitted(model, marked))

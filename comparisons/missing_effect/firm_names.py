@@ -13,13 +13,7 @@ class FirmNames:
     """Names effects as ``sindy-surge diagnose`` does, with its defaults."""
 
     def firm_names(self, records: Sequence[CoefficientSeries]) -> tuple[str, ...]:
-        """Return the effects that are named firmly.
-
-        Parameters
-        ----------
-        records : sequence of CoefficientSeries
-            Of one machine.
-        """
+        """Return the effects that are named firmly on records of one machine."""
         found = diagnose(list(records), n_twins=N_TWINS)
         return tuple(
             each.effect

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numba import njit
 
+from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
 # No "nnan" and no "ninf": outliers must still come out as what they are.
@@ -61,52 +63,38 @@ def varying_lag_pass(
 
 
 def lag_pass(
-    columns: FloatArray, a: float, now: float, before: float, runs: IntArray, every: int
+    columns: FloatArray, tau_s: float, step_s: float, runs: IntArray, every: int = 1
 ) -> FloatArray:
     """Answer of τ dx/dt + x = u to each column, kept at every so many rows; starts at rest."""
-    steps = np.broadcast_to([[a], [now], [before]], (3, columns.shape[0]))
+    lag = FirstOrderLag(tau_s, step_s, "first")
+    steps = np.broadcast_to([[lag.a], [lag.gain_now], [lag.gain_before]], (3, columns.shape[0]))
     answer: FloatArray = varying_lag_pass(columns, *np.ascontiguousarray(steps), runs, every)
     return answer
 
 
-@compiled
 def second_order_pass(
-    columns: FloatArray,
-    transition: FloatArray,
-    before: FloatArray,
-    now: FloatArray,
-    tau_steps: float,
-    runs: IntArray,
-    every: int,
+    columns: FloatArray, tau_s: float, a2_s2: float, step_s: float, runs: IntArray, every: int
 ) -> FloatArray:
-    """Answer of a₂ d²x/dt² + τ dx/dt + x = u; rates are per step; starts as after a long ramp."""
-    q = columns.shape[1]
-    out = np.empty((np.sum((runs[:, 1] - runs[:, 0] - 1) // every + 1), q))
-    x = np.empty(q)
-    v = np.empty(q)
-    row = 0
-    for r in range(runs.shape[0]):
-        start, stop = runs[r, 0], runs[r, 1]
-        for j in range(q):
-            v[j] = columns[min(start + 1, stop - 1), j] - columns[start, j]
-            x[j] = columns[start, j] - tau_steps * v[j]
-            out[row, j] = x[j]
-        row += 1
-        left = every
-        for k in range(start + 1, stop):
-            for j in range(q):
-                u0, u1 = columns[k - 1, j], columns[k, j]
-                x_new = transition[0, 0] * x[j] + transition[0, 1] * v[j]
-                v_new = transition[1, 0] * x[j] + transition[1, 1] * v[j]
-                x[j] = x_new + before[0] * u0 + now[0] * u1
-                v[j] = v_new + before[1] * u0 + now[1] * u1
-            left -= 1
-            if left == 0:
-                left = every
-                for j in range(q):
-                    out[row, j] = x[j]
-                row += 1
-    return out
+    """Answer of a₂ d²x/dt² + τ dx/dt + x = u; starts as after a long ramp, which x follows by τ."""
+    from scipy.signal import lfilter
+
+    ahead, back = _second_order_step(a2_s2 / step_s**2, tau_s / step_s)
+    out = []
+    for start, stop in runs:
+        u = columns[start:stop]
+        ramp = u[0] + np.arange(stop - start)[:, None] * (u[1] - u[0])
+        x = lfilter(ahead, back, u - ramp, axis=0) + ramp - tau_s / step_s * (u[1] - u[0])
+        out.append(x[::every])
+    return np.concatenate(out)
+
+
+@lru_cache(maxsize=64)
+def _second_order_step(a2_steps: float, tau_steps: float) -> tuple[FloatArray, FloatArray]:
+    """Return the exact difference equation of a₂ ẍ + τ ẋ + x = u for u joined by straight lines."""
+    from scipy.signal import cont2discrete
+
+    ahead, back, _ = cont2discrete(([1.0], [a2_steps, tau_steps, 1.0]), 1.0, "foh")
+    return ahead[0], back
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.loading import Run, laid_out
@@ -24,15 +24,7 @@ SETTLING_TAUS = 5.0
 
 @dataclass(frozen=True)
 class Curve:
-    """A quasi-steady characteristic.
-
-    Parameters
-    ----------
-    label : str
-        What it holds for; empty where it is the only one.
-    phi, value : ndarray of shape (n,)
-        Flow coefficient and ψ'_QS.
-    """
+    """A quasi-steady characteristic ψ'_QS over φ; its label is empty where it is the only one."""
 
     label: str
     phi: FloatArray

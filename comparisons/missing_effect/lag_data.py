@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
-Part = Literal["train", "later", "other"]
 TRAIN, LATER, OTHER = 0, 1, 2
 
 
@@ -115,6 +113,13 @@ class LagData:
         return tuple(slice(int(a), int(b)) for a, b in self.runs)
 
     @cached_property
+    def steps_of_run(self) -> FloatArray:
+        """Steps since the start of its run, at each row of the fine grid."""
+        return np.concatenate(
+            [np.arange(stop - start, dtype=float) for start, stop in self.fine_runs]
+        )
+
+    @cached_property
     def train(self) -> LagData:
         """Only what is fitted: each run up to its last row of that part."""
         return self.up_to(self.part == TRAIN)
@@ -177,13 +182,7 @@ class LagData:
         return out
 
     def of_exit(self, change_Pa: FloatArray) -> FloatArray:
-        """Return at the samples what a change of P31, of shape (N,), makes of ψ' from raw counts.
-
-        Parameters
-        ----------
-        change_Pa : ndarray of shape (N,)
-            On the fine grid, in pascal.
-        """
+        """Return at the samples what a change of P31, on the fine grid, makes of ψ'."""
         change = (change_Pa * self.signals["psi_p_per_Pa"])[:, None]
         return self.sampled(self.averaged(change)[:, 0])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import PurePath
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,16 +17,11 @@ from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_curves import (
-    contributions,
-    model_document,
-    records_document,
-)
+from comparisons.missing_effect.lag_curves import contributions, model_document, records_document
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.leftover import Leftover
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.quantities import (
     chance,
     label_of,
@@ -34,12 +29,7 @@ from comparisons.missing_effect.quantities import (
     plain_name,
     tau_ms,
 )
-from comparisons.missing_effect.results import (
-    CandidateRow,
-    Diagnosis,
-    Gap,
-    MissingEffect,
-)
+from comparisons.missing_effect.results import CandidateRow, Diagnosis, Gap, MissingEffect
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
@@ -79,18 +69,10 @@ _LEFTOVER = ("gain", "degrees", "p_value", "structured")
 
 @dataclass(frozen=True)
 class ReverseLoss:
-    """What the lag model leaves in reversed flow, and the loss that explains it.
+    """What the lag model leaves in reversed flow (``left``), and the loss c φ² that explains it.
 
-    Parameters
-    ----------
-    squared : ndarray of shape (n,)
-        φ² of the reversed rows, averaged as ψ' is.
-    left : ndarray of shape (n,)
-        Measured minus simulated ψ' there.
-    size : float
-        c of the loss c φ².
-    share : float
-        Share of the squares of ``left`` that it explains.
+    ``squared`` is φ² of the reversed rows, averaged as ψ' is; ``size`` is c, ``share`` the share of
+    the squares of ``left`` that the loss explains.
     """
 
     squared: FloatArray
@@ -141,6 +123,7 @@ class LagDiagnosis(Diagnosis):
     ripple: RippleLine | None = None
     reverse_loss: ReverseLoss | None = None
     catalogue: tuple[Effect, ...] = CATALOGUE
+    of_series: ClassVar[bool] = True
 
     @property
     def tau_before_s(self) -> float:
@@ -176,11 +159,6 @@ class LagDiagnosis(Diagnosis):
     def floor(self) -> tuple[float, ...]:
         """The measurement noise of ψ'."""
         return (self.gap.floor_rms,)
-
-    @property
-    def of_series(self) -> bool:
-        """Limits and separating measurements are known."""
-        return True
 
     @property
     def acts_unscored(self) -> bool:

@@ -14,9 +14,9 @@ from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.loading import block_rows
 from comparisons.missing_effect.planting import Planter
 from comparisons.missing_effect.quantities import size_words, symbol
 from surge_core.errors import InputError

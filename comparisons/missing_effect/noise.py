@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.autoregression import autoregression
+from comparisons.missing_effect.kernels import flow_noise_whiten, whiten
 from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.metric import FlowNoise, Metric
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 
@@ -19,28 +19,17 @@ FLOW_RELUCTANCE = 5.0
 HUBER = 3.0
 # Share of errors beyond Huber's bound from which on the tails are called heavy (normal: 0.27 %).
 HEAVY_SHARE = 0.006
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class NoiseModel:
     """Noise of the measured coefficient, as the errors of a model show it.
 
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation of one error, colour and all.
-    innovation : float
-        Standard deviation of what is new in each error.
-    ar : tuple of float
-        Autoregression of the errors; empty where they are white.
-    heavy_share : float
-        Share of errors beyond three standard deviations (robust).
-    flow : FlowNoise, optional
-        Noise on φ, where it describes the errors better than an autoregression.
-    flow_gain : float
-        By how many log-units it does.
-    flow_stderr : float
-        Standard error of the noise on φ, from the curvature of the likelihood.
+    ``sigma`` is the deviation of one error, ``innovation`` that of what is new in it; ``ar`` is
+    empty where the errors are white; ``heavy_share`` lies beyond three robust deviations. Noise on
+    φ is there where it describes the errors better than an autoregression, by so many log-units;
+    its error is that of the curvature of the likelihood.
     """
 
     sigma: float
@@ -78,20 +67,9 @@ def noise_of(
     slope: FloatArray | None = None,
     tau_s: float = 0.0,
 ) -> NoiseModel:
-    """Describe the noise by the errors of a model.
+    """Describe the noise by the errors of a model: measured minus simulated, starts taken off.
 
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        Measured minus simulated, starts taken off.
-    scored : ndarray of bool, shape (n,)
-        Which count.
-    data : LagData
-        Their runs.
-    slope : ndarray of shape (n,), optional
-        Slope of the characteristic at each sample; without it noise on φ is not looked for.
-    tau_s : float
-        Time constant, in seconds.
+    Noise on φ is looked for where the slope of the characteristic at each sample is given.
     """
     rows = scored & (data.weight > 0.0)
     robust = _scale(errors[rows])
@@ -128,9 +106,11 @@ def _with_flow_noise(
     n = int(np.count_nonzero(rows))
     column = np.ascontiguousarray(errors[:, None])
 
+    def noise_at(log_ratio: float) -> FlowNoise:
+        return FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(log_ratio)))
+
     def cost(log_ratio: float) -> tuple[float, float]:
-        noise = FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(log_ratio)))
-        white, half_log = noise.whitened(column, weight, data.runs)
+        white, half_log = noise_at(log_ratio).whitened(column, weight, data.runs)
         variance = float(np.sum(white**2)) / n
         return 0.5 * n * float(np.log(variance)) + half_log, variance
 
@@ -153,12 +133,17 @@ def _with_flow_noise(
     gain = rival - value - price
     if gain < FLOW_RELUCTANCE:
         return plain
-    flow = FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(found.x)))
     step = 0.3
     bend = (cost(found.x + step)[0] - 2.0 * value + cost(found.x - step)[0]) / step**2
     stderr = 0.5 * float(np.sqrt(variance * np.exp(found.x) / max(bend, 1e-6)))
     return NoiseModel(
-        plain.sigma, float(np.sqrt(variance)), (), plain.heavy_share, flow, gain, stderr
+        plain.sigma,
+        float(np.sqrt(variance)),
+        (),
+        plain.heavy_share,
+        noise_at(found.x),
+        gain,
+        stderr,
     )
 
 
@@ -173,3 +158,96 @@ def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArr
 
 def _scale(errors: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(errors - np.median(errors)))) if errors.size else 1.0
+
+
+@dataclass(frozen=True)
+class FlowNoise:
+    """White noise on φ, as the discrete lag (a, now, before) passes it on into the errors.
+
+    ``slope`` is that of the characteristic at each sample, ``ratio`` the variance of the noise on φ
+    over that of the noise on the coefficient.
+    """
+
+    a: float
+    now: float
+    before: float
+    slope: FloatArray
+    ratio: float
+
+    def on(self, rows: Index) -> FlowNoise:
+        """Return the same for some of the rows."""
+        return replace(self, slope=self.slope[rows])
+
+    def whitened(
+        self, columns: FloatArray, weight: FloatArray, runs: Index
+    ) -> tuple[FloatArray, float]:
+        """Return columns as innovations of unit variance, and half the logarithm of the rest."""
+        columns, slope = map(np.ascontiguousarray, (columns, self.slope))
+        lag = self.a, self.now, self.before
+        out, half_log = flow_noise_whiten(columns, *lag, slope, self.ratio, weight, runs)
+        return out, float(half_log)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Errors e become w (e - Σ a_i e[k-i]) / σ: white, of unit variance, outliers held down.
+
+    The autoregression is empty for white noise and for noise on φ; ``weight`` is a factor of each
+    row beside that of the data.
+    """
+
+    sigma: float = 1.0
+    ar: FloatArray = field(default_factory=lambda: np.zeros(0))
+    weight: FloatArray | None = None
+    flow: FlowNoise | None = None
+
+    def on(self, rows: Index) -> Metric:
+        """Return the metric of some of the rows."""
+        return Metric(
+            self.sigma,
+            self.ar,
+            None if self.weight is None else self.weight[rows],
+            None if self.flow is None else self.flow.on(rows),
+        )
+
+    def rows(self, data: LagData) -> FloatArray:
+        """Return the factor of each sample: 0 where it or one before it is not scored."""
+        factor = data.weight if self.weight is None else data.weight * self.weight
+        if self.ar.size == 0:
+            return np.ascontiguousarray(factor)
+        known = np.ones(factor.size)
+        for run in data.slices:
+            weight = data.weight[run]
+            for back in range(1, self.ar.size + 1):
+                known[run.start + back : run.stop] *= weight[:-back] > 0.0
+        return factor * known
+
+    def whitened(self, columns: FloatArray, data: LagData) -> FloatArray:
+        """Return columns in this metric, without their starts taken off; zero where not scored."""
+        values = columns if columns.ndim == 2 else columns[:, None]
+        factor = self.rows(data) / self.sigma
+        if self.flow is not None:
+            out = self.flow.whitened(values, factor, data.runs)[0]
+        elif self.ar.size == 0:
+            out = values * factor[:, None]
+        else:
+            out = whiten(np.ascontiguousarray(values), self.ar, factor, data.runs)
+        return out if columns.ndim == 2 else out[:, 0]
+
+    def seen(self, columns: FloatArray, decay: FloatArray, data: LagData) -> FloatArray:
+        """Return columns in this metric, with the unknown start of each run projected out.
+
+        ``decay`` is what a start that is off by one leaves at each sample.
+        """
+        return projected(self.whitened(columns, data), self.whitened(decay, data), data)
+
+
+def projected(columns: FloatArray, decay: FloatArray, data: LagData) -> FloatArray:
+    """Return columns with the decay of each run projected out."""
+    out = columns.copy()
+    for run in data.slices:
+        d = decay[run]
+        norm = float(d @ d)
+        if norm > 1e-12:
+            out[run] -= np.multiply.outer(d, (d @ columns[run]) / norm)
+    return out

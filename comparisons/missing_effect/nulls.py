@@ -71,25 +71,9 @@ def foretold(
 ) -> tuple[float, float, str]:
     """Test whether signals foretell errors, against the same errors shifted in time.
 
-    Parameters
-    ----------
-    errors : sequence of ndarray of shape (n,)
-        One output's errors of each run.
-    signals : sequence of ndarray of shape (n, m)
-        Inputs and simulated states of each run.
-    names : sequence of str
-        Of the signals.
-    rng : Generator
-        Of the shifts.
-
-    Returns
-    -------
-    p_value : float
-        Chance of so much foretold.
-    share : float
-        Share of the squared errors that is foretold beyond what chance foretells.
-    follows : str
-        The signal, or product of two, that the errors follow most.
+    Of each run there are one output's errors, and its inputs and simulated states. Returned are the
+    chance of so much foretold, the share of the squared errors foretold beyond chance, and the
+    signal, or product of two, that the errors follow most.
     """
     features, labels = _features(np.concatenate(list(signals)), names)
     error = np.concatenate([e - e.mean() for e in errors])

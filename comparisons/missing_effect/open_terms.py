@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from comparisons.missing_effect.catalogue.lag_effects import no_shape, rising
+from comparisons.missing_effect.catalogue.workings import rising
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.kernels import lag_pass
@@ -23,12 +23,7 @@ def _above(state: FloatArray, level: float) -> FloatArray:
 
 
 def _slow(state: FloatArray, data: LagData, tau_s: float) -> FloatArray:
-    from surge_core.lag import FirstOrderLag
-
-    lag = FirstOrderLag(tau_s, data.step_s, "first")
-    column = np.ascontiguousarray(state[:, None])
-    slow = lag_pass(column, lag.a, lag.gain_now, lag.gain_before, data.fine_runs, 1)
-    return np.asarray(slow[:, 0])
+    return np.asarray(lag_pass(state[:, None], tau_s, data.step_s, data.fine_runs)[:, 0])
 
 
 # Factors are taken from their means: one with a mean would bring the term itself once more, in
@@ -70,6 +65,7 @@ _ADDED: dict[str, Function] = {
     "psi^3 at the output": lambda d, p, s, e: s**3,
     "sgn(dpsi) at the output": lambda d, p, s, e: np.sign(e),
 }
+_TERMS = {**_DRIVEN, **_ADDED}
 
 
 def with_state(data: LagData, fit: Fit) -> LagData:
@@ -83,17 +79,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     target = ports.driven @ fit.coefficients[:q]
     if ports.gain is not None:
         target = target * ports.gain
-    from surge_core.lag import FirstOrderLag
-
-    lag = FirstOrderLag(fit.tau_s, data.step_s, "first")
-    state = lag_pass(
-        np.ascontiguousarray(target[:, None]),
-        lag.a,
-        lag.gain_now,
-        lag.gain_before,
-        data.fine_runs,
-        1,
-    )[:, 0]
+    state = _slow(target, data, fit.tau_s)
     return data.with_signal("state", state).with_signal("relaxation", target - state)
 
 
@@ -102,43 +88,28 @@ def with_own_state(data: LagData, fit: Fit) -> LagData:
     return with_state(data, fit) if any(e.unnamed for e in fit.structure.effects) else data
 
 
-def _driven(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    column = _DRIVEN[name](data, data["phi_smooth"], data["state"], data["relaxation"])
-    return ports.with_driven(column[:, None], (name,))
-
-
-def _added(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    column = _ADDED[name](data, data["phi_smooth"], data["state"], data["relaxation"])
+def _acts(name: str, ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    column = _TERMS[name](data, data["phi_smooth"], data["state"], data["relaxation"])
+    if name in _DRIVEN:
+        return ports.with_driven(column[:, None], (name,))
     return ports.with_added(data.sampled(column)[:, None], (name,))
 
 
 def open_terms(data: LagData) -> tuple[Effect, ...]:
     """Return the terms that these records can carry."""
-    out = []
-    for names, acts, port in (
-        (_DRIVEN, _driven, "characteristic"),
-        (_ADDED, _added, "output"),
-    ):
-        for name in names:
-            if name.startswith("n*") and (
-                "Nc_frac" not in data or float(np.ptp(data["Nc_frac"])) < 1e-6
-            ):
-                continue
-            out.append(_open_term(name, partial(acts, name), port))
-    return tuple(out)
+    steady = "Nc_frac" not in data or float(np.ptp(data["Nc_frac"])) < 1e-6
+    return tuple(_open_term(name) for name in _TERMS if not (steady and name.startswith("n*")))
 
 
-def _open_term(name: str, acts: Callable[..., Ports], port: str) -> Effect:
+def _open_term(name: str) -> Effect:
     return Effect(
         name,
-        port,  # type: ignore[arg-type]
+        "characteristic" if name in _DRIVEN else "output",
         f"+ c {name}",
         "a term that no effect of the catalogue stands behind",
         (Parameter("c", "1", -np.inf, np.inf),),
-        acts,
-        no_shape,
-        1.0,
-        "unknown",
-        "unknown",
+        partial(_acts, name),
+        on_tau="unknown",
+        confirm="unknown",
         unnamed=True,
     )

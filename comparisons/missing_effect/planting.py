@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.candidates import over_rows
+from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.probes import Prober
@@ -35,16 +34,9 @@ LARGEST_ROOT = 0.995
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Noise as a fit's errors show it, drawn again.
+    """Noise as a fit's errors show it, drawn again for some rows.
 
-    Parameters
-    ----------
-    white : ndarray of shape (m,)
-        What is new in each error, in units of the coefficient.
-    noise : NoiseModel
-        Colour, and noise on φ.
-    data : LagData
-        Rows that it is drawn for.
+    ``white`` is what is new in each error, in units of the coefficient.
     """
 
     white: FloatArray
@@ -54,10 +46,7 @@ class NoiseSource:
     @classmethod
     def of(cls, fit: Fit, noise: NoiseModel, data: LagData) -> NoiseSource:
         """Take the errors of a fit to all rows apart into what is new in each and its colour."""
-        if noise.flow is not None:
-            from comparisons.missing_effect.candidates import slope_of
-
-            noise = replace(noise, flow=replace(noise.flow, slope=slope_of(fit, data)))
+        noise = over_rows(noise, fit, data)
         metric = noise.metric()
         white = metric.whitened(fit.errors(data, Metric()), data) * noise.innovation
         kept = white[metric.rows(data) > 0.0]
@@ -69,15 +58,19 @@ class NoiseSource:
         What is new in each error is drawn in blocks from the fit's own, so that its tails and its
         bursts are those of the record; then it is given the colour of the noise model.
         """
-        new = self._resampled(rng, self.data.n_samples)
-        if self.noise.flow is not None:
-            return new + self._from_flow(rng)
-        if not self.noise.ar:
-            return new
         from scipy.signal import lfilter
 
-        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
+        new, flow = self._resampled(rng, self.data.n_samples), self.noise.flow
         out = np.empty_like(new)
+        if flow is not None:
+            # What noise on φ leaves behind the lag.
+            driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(new.size)
+            for run in self.data.slices:
+                out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
+            return new + out
+        if not self.noise.ar:
+            return new
+        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
         for run in self.data.slices:
             ahead = self._resampled(rng, BURN_IN_ROWS)
             coloured = lfilter([1.0], feedback, np.concatenate([ahead, new[run]]))
@@ -90,33 +83,12 @@ class NoiseSource:
         rows = (first[:, None] + np.arange(size)).ravel()[:n]
         return np.asarray(self.white[rows])
 
-    def _from_flow(self, rng: np.random.Generator) -> FloatArray:
-        """Return what noise on φ leaves behind the lag."""
-        from scipy.signal import lfilter
-
-        flow = self.noise.flow
-        assert flow is not None
-        driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(self.data.n_samples)
-        out = np.empty_like(driven)
-        for run in self.data.slices:
-            out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
-        return out
-
 
 @dataclass(frozen=True)
 class Planter:
     """A fitted model of a user's records, into which effects are planted.
 
-    Parameters
-    ----------
-    fit : Fit
-        To all rows; what it holds stays in.
-    data : LagData
-        The rows.
-    source : NoiseSource
-        Noise like theirs.
-    sigma : float
-        Standard deviation of one error.
+    The fit is to all rows, and what it holds stays in; ``sigma`` is the deviation of one error.
     """
 
     fit: Fit
@@ -177,12 +149,7 @@ class Planter:
         return self.data.with_measured(clean + self.source.draw(rng))
 
     def promise(self, clean: FloatArray) -> tuple[float, float]:
-        """Return what an effect leaves once the model without it is fitted again.
-
-        Parameters
-        ----------
-        clean : ndarray of shape (n,)
-            What :meth:`planted` gave.
+        """Return what an effect as planted leaves once the model without it is fitted again.
 
         Returns
         -------
@@ -206,7 +173,7 @@ class Planter:
         """Score tests in the metric of the noise, and in units of its standard deviation."""
         train, rows = self.data.train, self.data.train_rows
         # Of a ripple in the model only the episodes that are fitted have columns there.
-        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients, 0.0)
+        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients)
         metric = self.source.noise.metric().on(rows)
         return Prober(fit, train, metric), Prober(fit, train, Metric(self.sigma))
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from comparisons.missing_effect.lag_curves import steady_curves
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.scales import scale_of, typical
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.quantities import scale_of, typical
+from comparisons.missing_effect.where_rows import SYMBOLS
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -54,19 +54,10 @@ LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
 def draw_diagnosis(d: Diagnosis) -> Figure:
     """Draw a diagnosis in one picture.
 
-    Parameters
-    ----------
-    d : Diagnosis
-        Of a lag or of a user's model.
-
-    Returns
-    -------
-    Figure
-        On top each output, measured and simulated, and its residuals on a telling stretch; below,
-        the spectrum of the residuals and their mean over a signal, of the output that is missed
-        most; then the candidates by score, and the characteristic of a lag before and after, or
-        the rms errors of that output on every record. Last, the loss in reversed flow where there
-        is one.
+    On top each output, measured and simulated, and its residuals on a telling stretch; below, the
+    spectrum of the residuals and their mean over a signal, of the output that is missed most; then
+    the candidates by score, and the characteristic of a lag before and after, or the rms errors of
+    that output on every record. Last, the loss in reversed flow where there is one.
     """
     reverse = d.reverse_loss if isinstance(d, LagDiagnosis) else None
     figure = new_figure(height_in=9.8 if reverse is None else 12.4)

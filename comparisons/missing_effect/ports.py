@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.results import evaluate_terms
-from surge_core.lag import FirstOrderLag
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,7 @@ class Ports:
     def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more inputs of the lag."""
         return replace(
-            self,
-            driven=np.column_stack([self.driven, columns]),
-            names=(*self.names, *names),
+            self, driven=np.column_stack([self.driven, columns]), names=(*self.names, *names)
         )
 
     def with_known(self, values: FloatArray) -> Ports:
@@ -117,16 +113,10 @@ def n_powers(terms: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class Response:
-    """What the model gives at the samples, column by column.
+    """What the model gives at the samples: a column for each linear coefficient, and what has none.
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n, q)
-        One a linear coefficient: inputs of the lag, nuisances, what is added behind it.
-    decay : ndarray of shape (n,)
-        What is left, at each sample, of a start of its run that is off by one.
-    known : ndarray of shape (n,) or float
-        What the model adds to them without a coefficient.
+    Columns are inputs of the lag, nuisances, and what is added behind it; ``decay`` is what is left
+    of a start of its run that is off by one.
     """
 
     columns: FloatArray
@@ -137,19 +127,7 @@ class Response:
 def respond(
     ports: Ports, data: LagData, tau_s: float, nuisance: FloatArray | None = None
 ) -> Response:
-    """Return the answer to every input column, at the samples.
-
-    Parameters
-    ----------
-    ports : Ports
-        Of the model.
-    data : LagData
-        Grid and runs.
-    tau_s : float
-        Time constant, in seconds.
-    nuisance : ndarray of shape (N, k), optional
-        In place of the nuisance columns of the data.
-    """
+    """Return the answer to every input column at the samples; nuisances in place of the data's."""
     driven = ports.driven
     if "stalled" in data:
         driven = driven * data["stalled"][:, None]
@@ -159,81 +137,52 @@ def respond(
     extra = data.nuisance if nuisance is None else nuisance
     if extra.shape[1]:
         driven = np.column_stack([driven, extra])
-    columns, decay = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
+    columns = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
     if ports.out_gain is not None:
         columns = columns * ports.out_gain[:, None]
     if ports.added is not None:
         columns = np.column_stack([columns, ports.added])
-    return Response(columns, decay, 0.0 if ports.known is None else ports.known)
+    known = 0.0 if ports.known is None else ports.known
+    return Response(columns, np.exp(-ages(ports, data, tau_s)), known)
 
 
-def _lagged(
-    driven: FloatArray, ports: Ports, data: LagData, tau_s: float
-) -> tuple[FloatArray, FloatArray]:
-    runs, every = data.fine_runs, data.every
-    if ports.a2_s2 > 0.0:
-        if 4.0 * ports.a2_s2 <= tau_s**2:
-            # Overdamped: two lags in a row, the fast one first; the slow one may vary.
-            root = float(np.sqrt(tau_s**2 - 4.0 * ports.a2_s2))
-            slow_s, fast_s = 0.5 * (tau_s + root), 2.0 * ports.a2_s2 / (tau_s + root)
-            # Only against a division by zero: at the first small step of a₂ the fast lag is short.
-            if fast_s > 1e-9 * data.step_s:
-                lag = FirstOrderLag(fast_s, data.step_s, "first")
-                start = _ramped(driven, fast_s / data.step_s, runs)
-                driven = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, 1)
-                driven = driven + start * _decay(data, fast_s, fine=True)[:, None]
-            tau_s = slow_s
-        else:
-            return _underdamped(driven, ports.a2_s2, data, tau_s)
-    if ports.tau_factor is not None:
-        ratio = data.step_s / (tau_s * ports.tau_factor)
-        a, mean = np.exp(-ratio), -np.expm1(-ratio) / ratio
-        columns = varying_lag_pass(driven, a, 1.0 - mean, mean - a, runs, every)
-        ages = [np.cumsum(np.append(0.0, ratio[start + 1 : stop])) for start, stop in runs]
-        return columns, np.exp(-np.concatenate([age[::every] for age in ages]))
-    lag = FirstOrderLag(tau_s, data.step_s, "first")
-    columns = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, every)
-    return columns, _decay(data, tau_s)
+def ages(ports: Ports, data: LagData, tau_s: float) -> FloatArray:
+    """Return the time since the start of its run, at each sample, in (slower) time constants."""
+    slow_s, _, turn = lag_times(tau_s, ports.a2_s2)
+    if ports.tau_factor is None or turn > 0.0:
+        return np.asarray(data.steps_of_run[data.rows] * (data.step_s / slow_s))
+    ratio = data.step_s / (slow_s * ports.tau_factor)
+    passed = [np.cumsum(np.append(0.0, ratio[start + 1 : stop])) for start, stop in data.fine_runs]
+    return np.asarray(np.concatenate(passed)[data.rows])
 
 
-def _ramped(driven: FloatArray, tau_steps: float, runs: IntArray) -> FloatArray:
-    """Return, in every row of a run, how far behind a long ramp its start should have been."""
-    starts = runs[:, 0]
-    slope = driven[starts + 1] - driven[starts]
-    return np.repeat(-tau_steps * slope, np.diff(runs, axis=1)[:, 0], axis=0)
+def lag_times(tau_s: float, a2_s2: float) -> tuple[float, float, float]:
+    """Return slow and fast time constant, in seconds, and angular frequency where a lag swings."""
+    if a2_s2 == 0.0:
+        return tau_s, 0.0, 0.0
+    inside = tau_s**2 - 4.0 * a2_s2
+    if inside < 0.0:
+        return 2.0 * a2_s2 / tau_s, 0.0, float(np.sqrt(-inside)) / (2.0 * a2_s2)
+    slow_s = 0.5 * (tau_s + float(np.sqrt(inside)))
+    return slow_s, a2_s2 / slow_s, 0.0
 
 
-def _decay(data: LagData, tau_s: float, *, fine: bool = False) -> FloatArray:
-    runs = data.fine_runs if fine else data.runs
-    step_s = data.step_s if fine else data.sample_period_s
-    counts = np.concatenate([np.arange(stop - start) for start, stop in runs])
-    return np.asarray(np.exp(-counts * (step_s / tau_s)))
-
-
-def _underdamped(
-    driven: FloatArray, a2_s2: float, data: LagData, tau_s: float
-) -> tuple[FloatArray, FloatArray]:
-    transition, before, now = _second_order_steps(a2_s2, tau_s, data.step_s)
-    columns = second_order_pass(
-        driven, transition, before, now, tau_s / data.step_s, data.fine_runs, data.every
-    )
-    # The envelope; the start is put where a ramp would have left it, so little is left to decay.
-    return columns, _decay(data, 2.0 * a2_s2 / tau_s)
-
-
-@lru_cache(maxsize=64)
-def _second_order_steps(
-    a2_s2: float, tau_s: float, step_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the exact step of a₂ ẍ + τ ẋ + x = u for u joined by straight lines."""
-    from scipy.linalg import expm
-
-    a2, tau = a2_s2 / step_s**2, tau_s / step_s
-    # States x, ẋ, u and the slope of u: the last two carry the input over the step.
-    system = np.zeros((4, 4))
-    system[0, 1] = 1.0
-    system[1] = [-1.0 / a2, -tau / a2, 1.0 / a2, 0.0]
-    system[2, 3] = 1.0
-    step = expm(system)
-    now = np.ascontiguousarray(step[:2, 3])
-    return np.ascontiguousarray(step[:2, :2]), step[:2, 2] - now, now
+def _lagged(driven: FloatArray, ports: Ports, data: LagData, tau_s: float) -> FloatArray:
+    runs, step_s = data.fine_runs, data.step_s
+    slow_s, fast_s, turn = lag_times(tau_s, ports.a2_s2)
+    if turn > 0.0:
+        return second_order_pass(driven, tau_s, ports.a2_s2, step_s, runs, data.every)
+    # Overdamped: two lags in a row, the fast one first; the slow one may vary. The bound is only
+    # against a division by zero: at the first small step of a₂ the fast lag is short.
+    if fast_s > 1e-9 * step_s:
+        # A start is put where a long ramp would have left it.
+        behind = fast_s / step_s * (driven[runs[:, 0] + 1] - driven[runs[:, 0]])
+        start = np.repeat(behind, np.diff(runs, axis=1)[:, 0], axis=0)
+        driven = lag_pass(driven, fast_s, step_s, runs)
+        driven = driven - start * np.exp(-data.steps_of_run * (step_s / fast_s))[:, None]
+    if ports.tau_factor is None:
+        return lag_pass(driven, slow_s, step_s, runs, data.every)
+    ratio = step_s / (slow_s * ports.tau_factor)
+    a, mean = np.exp(-ratio), -np.expm1(-ratio) / ratio
+    out: FloatArray = varying_lag_pass(driven, a, 1.0 - mean, mean - a, runs, data.every)
+    return out

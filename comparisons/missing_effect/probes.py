@@ -1,20 +1,22 @@
-"""Score tests: what each effect would win, by its slope at amplitude zero."""
+"""Score tests: what each effect would win, by its slope at amplitude zero, and all together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.catalogue.workings import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate
 from comparisons.missing_effect.fit import Fit, Solution, fit_structure, free_slopes, solved
-from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.ports import Ports, respond
+from comparisons.missing_effect.quantities import chance
 from surge_core.types import FloatArray
 
 # The spectrum of an episode is laid this many times finer than its own lines.
@@ -22,24 +24,24 @@ FINER = 4
 KEPT_STARTS = 3
 # Columns that have lost all but this share of themselves to the base say nothing of their own.
 LEAST_OWN_SHARE = 1e-4
+# The chance below which what a model leaves is called structure, and not chance.
+LEFTOVER_P = 1e-4
+# A name is firm only while no test of what it leaves comes below this; tests of one term at a
+# time are weaker.
+DOUBTFUL_P = 1e-3
+DOUBTFUL_ALONE_P = 5e-3
+LARGEST_UNEVENNESS = 5.0
+# An effect whose start is searched this widely is tested apart from the others.
+MANY_TRIALS = 20.0
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What the score of one effect says.
+    """What the score of one effect says: log-units that a step along its slope would win.
 
-    Parameters
-    ----------
-    effect : Effect
-        Which.
-    gain : float
-        Log-units that a step along its slope would win.
-    degrees : int
-        Columns behind it.
-    starts : tuple of ndarray
-        Where its search should begin: the values of its nonlinear parameters, best first.
-    columns : ndarray of shape (n, k)
-        Its slope at the best start, orthonormal, free of what the base can move.
+    ``starts`` are the values of its nonlinear parameters from which its search should begin, best
+    first; ``columns`` is its slope at the best of them, orthonormal, free of what the base can
+    move.
     """
 
     effect: Effect
@@ -55,25 +57,11 @@ class Probe:
     @property
     def chance(self) -> float:
         """Chance of so large a gain in noise, times what was searched."""
-        from scipy.stats import chi2
-
-        if self.degrees == 0:
-            return 1.0
-        return min(1.0, float(chi2.sf(2.0 * self.gain, self.degrees)) * self.effect.searched)
+        return min(1.0, _chi2(self.gain, self.degrees) * self.effect.searched)
 
 
 class Prober:
-    """Score tests against one fitted model.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    data : LagData
-        What it was fitted to, with the state that open terms need.
-    metric : Metric
-        Of the fit.
-    """
+    """Score tests against one model, fitted to these data (with the state of open terms)."""
 
     def __init__(self, fit: Fit, data: LagData, metric: Metric) -> None:
         self.fit, self.data, self.metric = fit, data, metric
@@ -88,7 +76,7 @@ class Prober:
         """Return the score of one effect at the best of its starts."""
         if effect.episodes:
             return self._ripple(effect)
-        starts = effect.starts(self.data, 0.0)
+        starts = effect.starts(self.data)
         if effect.linear:
             groups = self._linear_columns(effect, starts)
         else:
@@ -105,6 +93,10 @@ class Prober:
             # Nothing is searched: each of the held values is tried.
             kept = tuple(starts[i] for i in order)
         return Probe(effect, best[0], best[1].shape[1], kept, best[1])
+
+    def probes(self, effects: Iterable[Effect]) -> list[Probe]:
+        """Return the scores of those effects that the model has not."""
+        return [self.probe(e) for e in effects if e.name not in self.fit.structure.names]
 
     def fitted(self, effect: Effect, more: Sequence[FloatArray] = ()) -> Fit | None:
         """Fit the model with one effect more, from where its score tells to begin, and others.
@@ -216,3 +208,79 @@ def _episode_spectrum(
     power[frequency < lowest] = 0.0
     power[frequency > HIGHEST_SHARE / data.sample_period_s] = 0.0
     return np.asarray(frequency, dtype=np.float64), power
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """What a score test of all open terms and all effects finds in a model's errors.
+
+    The gain is what they would win together, or the best where each is tested alone; the chance
+    that of this gain, or of a ripple or a branch where they say more; the unevenness by how many
+    standard errors the rows that were held out are left noisier than the others.
+    """
+
+    gain: float
+    degrees: int
+    p_value: float
+    alone: bool = False
+    unevenness: float = 0.0
+
+    @property
+    def structured(self) -> bool:
+        """Whether the errors hold more than noise that the model's inputs explain."""
+        return self.p_value < LEFTOVER_P
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why a name that leaves this is not firm: a stricter bound, and even errors."""
+        out, p = [], chance(self.p_value)
+        if self.structured:
+            out.append(
+                "the model with it still leaves structure in its errors (what else was tested "
+                f"would win {self.gain:.0f} log-units together, p {p})"
+            )
+        elif self.p_value < (DOUBTFUL_ALONE_P if self.alone else DOUBTFUL_P):
+            out.append(f"what the model with it leaves is hardly chance (p {p})")
+        if self.unevenness > LARGEST_UNEVENNESS:
+            out.append("it leaves the rows that were held out noisier than those fitted")
+        return tuple(out)
+
+
+def leftover_of(
+    prober: Prober, part: NDArray[np.int8], effects: Sequence[Effect], open_terms: Sequence[Effect]
+) -> Leftover:
+    """Test the errors of a model for anything that open terms and effects could still explain.
+
+    The prober's model is fitted to all rows; ``part`` says which were fitted and held out before.
+    """
+    probes = prober.probes((*effects, *open_terms))
+    searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
+    few = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
+    uneven = _unevenness(prober, part)
+    apart = min((p.chance for p in searched), default=1.0)
+    if prober.metric.flow is not None and few:
+        # Many smooth terms together make up the difference between a noisy φ and a smooth one,
+        # which is the noise itself: here each is tested alone.
+        best = min(few, key=lambda p: p.chance)
+        p_value = min(1.0, len(few) * best.chance, 2.0 * apart)
+        return Leftover(best.gain, best.degrees, p_value, True, uneven)
+    gain, basis = prober.joint([p.columns for p in few]) if few else (0.0, np.zeros((0, 0)))
+    together = _chi2(gain, basis.shape[1])
+    return Leftover(gain, basis.shape[1], min(1.0, 2.0 * together, 2.0 * apart), False, uneven)
+
+
+def _chi2(gain: float, degrees: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.sf(2.0 * gain, degrees)) if degrees else 1.0
+
+
+def _unevenness(prober: Prober, part: NDArray[np.int8]) -> float:
+    """Return by how many standard errors held-out rows are noisier, by a fit to all."""
+    errors = prober.fit.errors(prober.data, prober.metric)
+    valid = prober.metric.rows(prober.data) > 0.0
+    fitted, held = errors[valid & (part == TRAIN)] ** 2, errors[valid & (part != TRAIN)] ** 2
+    if min(fitted.size, held.size) < 2:
+        return 0.0
+    spread = np.hypot(np.std(fitted) / np.sqrt(fitted.size), np.std(held) / np.sqrt(held.size))
+    return float((held.mean() - fitted.mean()) / max(spread, 1e-300))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
@@ -53,6 +53,14 @@ _OPEN_MEANING = (
     (r"\bt\b", "t is the facility clock"),
     (r"\bn\b", "n is the corrected speed"),
 )
+# Symbols that take a prefix; what stands behind a stroke or a dot stays as it is.
+PREFIXED = frozenset(
+    ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")
+)
+# Below these a number is given in thousandths, millionths, … of its unit.
+STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
+# Of units that take no prefix: smaller numbers read badly as decimals.
+PLAIN_BELOW = 1e-2
 
 
 def symbol(parameter: str) -> str:
@@ -61,14 +69,9 @@ def symbol(parameter: str) -> str:
 
 
 def quantity(value: float, stderr: float, unit: str) -> str:
-    """Return a number with its standard error and unit.
+    """Return a number with its standard error and unit; small times are written in ms.
 
-    Parameters
-    ----------
-    value, stderr : float
-        In the unit.
-    unit : str
-        SI; ``"1"`` without one. Small times are written in ms; an error that is not known is NaN.
+    An error that is not known is NaN.
     """
     factor, shown = _read_in(value, unit)
     value, stderr = factor * value, factor * stderr
@@ -80,15 +83,7 @@ def quantity(value: float, stderr: float, unit: str) -> str:
 
 
 def size_words(value: float, unit: str) -> str:
-    """Return a size in the unit that is easiest read, to the two digits that are known of it.
-
-    Parameters
-    ----------
-    value : float
-        The size.
-    unit : str
-        SI; ``"1"`` without one.
-    """
+    """Return a size in the unit that is easiest read, to the two digits that are known of it."""
     factor, shown = _read_in(value, unit)
     return f"{float(significant(factor * value, 2)):g} {shown}".rstrip()
 
@@ -184,3 +179,43 @@ def open_words(name: str) -> str:
         name = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", pretty, name)
     name = name.removesuffix(" at the output")
     return name.replace("*", "·").replace("^2", "²").replace("^3", "³")
+
+
+class Scale:
+    """A factor to a unit that reads well; the unit is empty for a pure number."""
+
+    def __init__(self, factor: float, unit: str) -> None:
+        self.factor = factor
+        self.unit = "" if unit == "1" else unit
+
+    def text(self, value: float, digits: int = 3) -> str:
+        """Return a number of the model's unit in this one, with the unit."""
+        number = significant(value * self.factor, digits)
+        joined = "·" if self.unit.startswith("10") else " "
+        return f"{number}{joined}{self.unit}" if self.unit else number
+
+    @property
+    def bracketed(self) -> str:
+        """The unit in brackets, for axes and heads."""
+        return f"[{self.unit or '-'}]"
+
+
+def scale_of(unit: str, sizes: Iterable[float]) -> Scale:
+    """Return the unit in which numbers of some sizes read well; the largest decides."""
+    finite = [abs(size) for size in sizes if math.isfinite(size)]
+    largest = max(finite, default=1.0)
+    match = re.match(r"([^\W\d_]+)(?=$|/|·)", unit)
+    prefixed = match is not None and match.group(1) in PREFIXED
+    if not 0.0 < largest < (STEPS_DOWN[-1][0] if prefixed else PLAIN_BELOW):
+        return Scale(1.0, unit)
+    for below, factor, prefix, power in STEPS_DOWN:
+        if largest < below:
+            plain = power if unit == "1" else f"{power} {unit}"
+            return Scale(factor, f"{prefix}{unit}" if prefixed else plain)
+    return Scale(1.0, unit)
+
+
+def typical(sizes: Iterable[float]) -> float:
+    """Return the geometric mean of sizes that differ by much; 1 where none is known."""
+    known = [math.log(size) for size in sizes if math.isfinite(size) and size > 0.0]
+    return math.exp(sum(known) / len(known)) if known else 1.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from comparisons.missing_effect.quantities import chance
 from comparisons.missing_effect.results import CLEAR, CandidateRow
-from comparisons.missing_effect.where_words import describe
+from comparisons.missing_effect.where_rows import describe
 from comparisons.missing_effect.words import effect_words, ledger_words, verdict_words
 from comparisons.page.blocks import Block, Bullets, Part, Picture, Table, Words
 from comparisons.page.html import render_page

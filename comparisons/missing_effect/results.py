@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.quantities import number_rows, open_words, plain_name
+from comparisons.missing_effect.quantities import (
+    number_rows,
+    open_words,
+    plain_name,
+    scale_of,
+    typical,
+)
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.scales import scale_of, typical
-from comparisons.missing_effect.where_rows import Where
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.where_rows import SYMBOLS, Where
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import bracketed, significant
 
@@ -324,12 +328,10 @@ class Diagnosis(Displayed):
         def own_document(self) -> dict[str, Any]:
             """Return what the JSON of this kind has beside that of all."""
 
-    # What one kind has to say and another has not.
-    @property
-    def of_series(self) -> bool:
-        """Whether limits and separating measurements can be asked for."""
-        return False
+    # Whether limits and separating measurements can be asked for.
+    of_series: ClassVar[bool] = False
 
+    # What one kind has to say and another has not.
     @property
     def whole_runs(self) -> bool:
         """Whether the records were taken as whole runs, averaged over the stall cells."""

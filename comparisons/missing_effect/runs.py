@@ -19,15 +19,11 @@ class CheckRun:
 
     Parameters
     ----------
-    name : str
-        Of the record.
-    kind : {"fitted", "held out", "left out", "check"}
-        Fitted; held out of the fits; left out in turn, cycle by cycle; or a record that is only
-        simulated.
-    period_s : float
-        Sample period.
-    time_s : ndarray of shape (n,)
-        Clock of the record.
+    name, kind : str
+        Of the record; "fitted", "held out" of the fits, "left out" in turn, cycle by cycle, or
+        "check", a record that is only simulated.
+    period_s, time_s : float, ndarray of shape (n,)
+        Sample period, and clock of the record.
     outputs : mapping of str to str
         Names and units.
     measured, before, after : ndarray of shape (n, n_y)
@@ -68,13 +64,7 @@ class CheckRun:
         return int(np.count_nonzero(np.isfinite(self.measured[self.settle :]).any(axis=1)))
 
     def errors(self, *, before: bool) -> FloatArray:
-        """Return the errors of the scored rows, of shape (n, n_y).
-
-        Parameters
-        ----------
-        before : bool
-            Of the model as it was, or else with what was added.
-        """
+        """Return the errors of the scored rows, of shape (n, n_y), of the model before or after."""
         return np.asarray((self.measured - (self.before if before else self.after))[self.settle :])
 
     @property
@@ -107,13 +97,7 @@ class CheckRun:
 
 
 def rms(errors: FloatArray) -> FloatArray:
-    """Return the rms of each column over the rows that were read; NaN where none was simulated.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n, n_y)
-        Errors.
-    """
+    """Return the rms of each column over the rows that were read; NaN where none was simulated."""
     there = np.isfinite(errors)
     total = np.sum(np.where(there, errors, 0.0) ** 2, axis=0)
     return np.asarray(np.sqrt(total / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))

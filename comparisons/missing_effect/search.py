@@ -40,25 +40,10 @@ def search(
     most: int,
     report: Report = lambda _: None,
 ) -> tuple[Any, list[Round[A, F]]]:
-    """Add to a model what it lacks, one or two effects a round.
+    """Add to a model what it lacks, one or two effects a round, until it has ``most``.
 
-    Parameters
-    ----------
-    system : System
-        The model as it is.
-    effects, library : sequence
-        Names, and terms without one.
-    most : int
-        Add at most so many.
-    report : callable
-        Told in a few words what begins.
-
-    Returns
-    -------
-    system : System
-        The model with all that was found.
-    rounds : list of Round
-        The search.
+    ``effects`` have names, the terms of the ``library`` have none; ``report`` hears in a few words
+    what begins.
     """
     here: System[A, F] = system
     rounds: list[Round[A, F]] = []
@@ -85,17 +70,7 @@ def search(
 def search_round(
     system: System[A, F], effects: Sequence[Any], library: Sequence[Any], room: int = 2
 ) -> Round[A, F]:
-    """Try everything that may be added to a model.
-
-    Parameters
-    ----------
-    system : System
-        The model and its records.
-    effects, library : sequence
-        Names, and terms without one.
-    room : int
-        At most so many are added.
-    """
+    """Try everything that may be added to a model, at most ``room`` effects at once."""
     race = system.tried(effects, library)
     bench: System[A, F] = race.system
     ranked = bench.ranked([bench.weighed(c) for c in race.candidates if len(c.added) <= room])

@@ -115,19 +115,19 @@ def _time_row(
     edges = float(given.time_s[rows[0]]), float(given.time_s[rows[-1]]) + given.period_s
     rms, left = _rms(before[own]), _rms(after[own])
     mean = float(np.mean(before[own])) if own.size else math.nan
-    if not math.isfinite(given.floor_rms) or own.size < FEWEST_IN_BIN:
-        return TimeRow(name, *edges, own.size, rms, left, mean, math.nan, math.nan, math.nan)
-    innovations, size = _innovations(given, held, own)
-    size *= background
-    # Of many rows the mean of an autoregression has the variance σ²/(1 − Σa)² over their number.
-    stderr = size / (1.0 - float(np.sum(given.ar))) / math.sqrt(own.size)
-    z_variance = math.nan
-    if innovations.size >= FEWEST_IN_BIN:
-        squares = (innovations / size) ** 2
-        spread = max(float(np.var(squares)) / max(float(np.mean(squares)) ** 2, 1e-300), 2.0)
-        z_variance = power_z(float(np.mean(squares)), squares.size * 2.0 / spread)
-    excess = math.sqrt(max(rms**2 - given.floor_rms**2, 0.0))
-    z_mean = float(np.mean(held[own])) / stderr
+    excess = z_mean = z_variance = math.nan
+    if math.isfinite(given.floor_rms) and own.size >= FEWEST_IN_BIN:
+        innovations, size = _innovations(given, held, own)
+        size *= background
+        # Of many rows the mean of an autoregression has the variance σ²/(1 − Σa)² over their
+        # number.
+        stderr = size / (1.0 - float(np.sum(given.ar))) / math.sqrt(own.size)
+        if innovations.size >= FEWEST_IN_BIN:
+            squares = (innovations / size) ** 2
+            spread = max(float(np.var(squares)) / max(float(np.mean(squares)) ** 2, 1e-300), 2.0)
+            z_variance = power_z(float(np.mean(squares)), squares.size * 2.0 / spread)
+        excess = math.sqrt(max(rms**2 - given.floor_rms**2, 0.0))
+        z_mean = float(np.mean(held[own])) / stderr
     return TimeRow(name, *edges, own.size, rms, left, mean, excess, z_mean, z_variance)
 
 
@@ -155,27 +155,22 @@ def _innovations(given: Residuals, held: FloatArray, rows: IntArray) -> tuple[Fl
 def _over_frequency(
     given: Residuals, powers: list[Power]
 ) -> tuple[float, list[BandRow], Line | None]:
-    before = powers[0]
+    before, rows = powers[0], []
     known = math.isfinite(given.floor_rms)
     floor = floor_density(before.frequency_hz, given.floor_rms, given.ar, given.period_s)
     ratio = before.density / floor if known else np.full(floor.size, math.nan)
     background = before.background(ratio) if known else math.nan
-    rows = []
+    level = max(background, 1.0) ** 2
     total = float(np.sum(before.density[1:]))
     for low, high, inside in log_bands(before.frequency_hz, before.resolution_hz):
-        first, second, third = (float(np.mean(power.density[inside])) for power in powers)
+        densities = [float(np.mean(power.density[inside])) for power in powers]
         share = float(np.sum(before.density[inside])) / total if total > 0.0 else math.nan
         own = float(np.mean(ratio[inside])) if known else math.nan
-        rows.append(BandRow(low, high, first, second, third, share, own, math.nan, math.nan))
-    if not known:
-        return math.nan, rows, None
-    freedom = [before.per_hz * (row.high_hz - row.low_hz) for row in rows]
-    level = max(background, 1.0) ** 2
-    rows = [
-        replace(row, z=power_z(row.ratio / level, max(nu, before.bin_freedom)))
-        for row, nu in zip(rows, freedom, strict=True)
-    ]
-    return background, rows, narrow_line(before, ratio, level, given.cycle_hz)
+        freedom = max(before.per_hz * (high - low), before.bin_freedom)
+        z = power_z(own / level, freedom) if known else math.nan
+        rows.append(BandRow(low, high, *densities, share, own, math.nan, z))
+    line = narrow_line(before, ratio, level, given.cycle_hz) if known else None
+    return background, rows, line
 
 
 def _banded(row: BandRow, bound: float, level: float, line: Line | None, per_hz: float) -> BandRow:

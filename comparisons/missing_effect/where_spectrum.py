@@ -31,15 +31,7 @@ LINE_FOOT = 0.25
 
 @dataclass(frozen=True)
 class Line:
-    """A narrow line.
-
-    Parameters
-    ----------
-    frequency_hz : float
-        Where.
-    z : float
-        How far it stands out of its neighbourhood, all frequencies and widths counted.
-    """
+    """A narrow line, and how far it stands out, all frequencies and widths counted."""
 
     frequency_hz: float
     z: float
@@ -47,18 +39,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Power:
-    """A power density, averaged over runs and tapers.
+    """A one-sided power density, averaged over runs and tapers, in the squared unit a hertz.
 
-    Parameters
-    ----------
-    frequency_hz, density : ndarray of shape (m,)
-        From zero to half the sample rate; one-sided, in the squared unit a hertz.
-    bin_freedom : float
-        Degrees of freedom of one value.
-    per_hz : float
-        Degrees of freedom of a mean over a hertz.
-    resolution_hz : float
-        The narrowest band that the typical run can tell.
+    Degrees of freedom are those of one value and of a mean over a hertz; the resolution is the
+    narrowest band that the typical run can tell.
     """
 
     frequency_hz: FloatArray
@@ -81,20 +65,9 @@ def tapered_power(
     *,
     bridged: bool,
 ) -> Power:
-    """Return the power density of a signal less its mean.
+    """Return the power density of a signal less its mean; no taper straddles two runs.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The signal.
-    scored : ndarray of bool, shape (n,)
-        Rows in which it is known.
-    runs : tuple of slice
-        Runs; no taper straddles two.
-    period_s : float
-        Sample period.
-    bridged : bool
-        Whether rows that are not scored are joined by straight lines, or left out.
+    Rows that are not scored are joined by straight lines (``bridged``), or left out.
     """
     pieces, size = _pieces(runs, scored)
     level = float(np.mean(values[scored]))
@@ -158,18 +131,9 @@ def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: fl
 
     Lines of several widths are looked for: stall cells begin in another phase in every episode,
     which spreads their line over the inverse of its duration. None where there are too few
-    frequencies or where a jump in each cycle would do.
-
-    Parameters
-    ----------
-    power : Power
-        Of the residual.
-    ratio : ndarray of shape (m,)
-        It over the floor's.
-    background : float
-        Power of the quiet part over the floor, at least 1.
-    cycle_hz : float
-        Main frequency of what drives; below ten times that a line may be a harmonic.
+    frequencies or where a jump in each cycle would do; below ten times ``cycle_hz``, the main
+    frequency of what drives, a line may be a harmonic. ``background`` is the power of the quiet
+    part over the floor, at least 1; ``ratio`` the residual's over the floor's.
     """
     frequency = power.frequency_hz
     lowest = FAR_ABOVE * cycle_hz if cycle_hz > 0.0 else 2.0 * power.resolution_hz

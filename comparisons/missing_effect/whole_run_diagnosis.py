@@ -12,24 +12,20 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.conclusion import concluded, missing_effect
+from comparisons.missing_effect.conclusion import LEAST_SIZE, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
-from comparisons.missing_effect.loading import readings_of, whole_data
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.loading import block_rows, readings_of, whole_data
 from comparisons.missing_effect.quantities import size_words
 from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     SHAPED,
     Nulls,
     Progress,
     WholeRuns,
-    cycles_left_out,
     fitted,
     nulls_of,
     number_of,
@@ -77,8 +73,7 @@ def diagnose_whole_runs(
     effects = [e for e in catalogue if e.name not in apart]
     why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
     why = why or (SECOND_PATTERN if line else "")
-    blind = effects if why else []
-    effects = [] if blind else effects
+    effects, blind = ([], effects) if why else (effects, [])
     base = plain_bench(data, readings, terms, len(effects), block_rows(data))
     if n_twins and effects:
         leader = _of_leader(base, effects)
@@ -90,20 +85,15 @@ def diagnose_whole_runs(
     bench, rounds = search(base, effects, (), most_effects)
     sets = alias_sets(bench, rounds, effects)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
-    unexplained = much and bool(n_twins)
-    otherwise = "unexplained_structure" if unexplained else "nothing_missing"
-    noise = NoiseModel(rms_left(bench), rms_left(bench), (), 0.0)
+    otherwise = "unexplained_structure" if much and n_twins else "nothing_missing"
     diagnosis = concluded(
         base,
         bench,
         rounds,
         sets,
-        otherwise="named" if line else otherwise,
-        doubts=(NO_MEASURE,) if much else (),
-        noise=noise,
-        left=_left_out(base, bench),
-        held=bench.rows.valid,
-        floor_rms=averaged_noise(readings),
+        "named" if line else otherwise,
+        (NO_MEASURE,) if much else (),
+        averaged_noise(readings),
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
@@ -117,16 +107,17 @@ def diagnose_whole_runs(
         verdict = "provisional"
     named = {name for item in missing if not item.provisional for name in item.alias_set}
     others = [e for e in (*effects, *blind) if e.name not in named]
+    untold, absent = _decided(others, nulls)
+    if blind:
+        untold = tuple(Untold(e.name, why, BLIND[why]) for e in others)
     diagnosis = replace(
         diagnosis,
         verdict=verdict,
         missing=missing,
         unavailable=unavailable,
         catalogue=tuple(catalogue),
-        untold=tuple(Untold(e.name, why, BLIND[why]) for e in others)
-        if blind
-        else _untold(others, nulls),
-        absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
+        untold=untold,
+        absent=tuple(one for one in absent if one.effect not in diagnosis.names),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line)
 
@@ -138,8 +129,7 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     takes for a τ of a second, say. What is shaped by φ has no part of its own.
     """
     fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
-    effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
-    fit, data = fits[effect.name], bench.data
+    (effect, fit), data = min(fits, key=lambda both: both[1].cost), bench.data
     added = fit.output(data) - fit.without_amplitude(effect, data).output(data)
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
@@ -155,37 +145,26 @@ def _firm(members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> bool:
     )
 
 
-def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
-    found = []
+def _decided(
+    effects: Sequence[Effect], nulls: Nulls
+) -> tuple[tuple[Untold, ...], tuple[Absent, ...]]:
+    """Return the effects about which twins decide nothing, and those that would have been seen."""
+    untold, absent = [], []
     for effect in effects:
         null = nulls.by_effect.get(effect.name)
-        if null is None or null.can_be_told or not np.isfinite(null.matters):
+        if null is None or not np.isfinite(null.matters):
+            continue
+        if null.can_be_told:
+            name = "rms" if effect.name in SHAPED else effect.parameters[0].name
+            absent.append(Absent(effect.name, name, null.decided_from, null.unit))
             continue
         seen, matters = (size_words(v, null.unit) for v in (null.decided_from, null.matters))
         why = (
             f"measured twins of this record show that it is seen from {seen} on, and {matters} "
             "would matter"
         )
-        found.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
-    return tuple(found)
-
-
-def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
-    found = []
-    for effect in effects:
-        null = nulls.by_effect.get(effect.name)
-        if null is not None and null.can_be_told and np.isfinite(null.matters):
-            name = "rms" if effect.name in SHAPED else effect.parameters[0].name
-            found.append(Absent(effect.name, name, null.decided_from, null.unit))
-    return tuple(found)
-
-
-def _left_out(base: Bench, final: Bench) -> tuple[FloatArray, FloatArray]:
-    """Return the errors of cycles left out, before and after."""
-    before = cycles_left_out(base.fit, base) * base.metric.sigma
-    if final is base:
-        return before, before
-    return before, cycles_left_out(final.fit, final) * final.metric.sigma
+        untold.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
+    return tuple(untold), tuple(absent)
 
 
 def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
@@ -197,12 +176,12 @@ def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis
     """Add the second pattern of cells, which the rake differences have taken off."""
     if line is None:
         return diagnosis
-    ripple = find_effect("rotating_stall_ripple")
+    # The spectrum around the line moves its amplitude.
+    stderr = line.amplitude / float(np.sqrt(2.0 * line.height))
     found = missing_effect(
-        ripple,
-        [ripple],
+        find_effect("rotating_stall_ripple"),
         (
-            FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
+            FittedParameter("r", line.amplitude, stderr, "1"),
             FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
         ),
         {"line_over_background": line.height},
@@ -237,10 +216,8 @@ def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench, twins: bool) -> La
     stderr = float(np.sqrt(np.mean(after**2) / (np.mean(loss**2) * reversals)))
     if size < LEAST_SIZE * stderr:
         return diagnosis
-    reversed_ = find_effect(REVERSED)
     found = missing_effect(
-        reversed_,
-        [reversed_],
+        find_effect(REVERSED),
         (
             # The probes see reversed flow from behind, and their mean is not the flow: on five
             # machines c was 0.4 to 1.5 of the true one, which no scatter of this record shows.

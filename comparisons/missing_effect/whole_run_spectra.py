@@ -24,27 +24,14 @@ CHANCE = 0.00135
 class RippleLine:
     """A line of rotating stall beside those of the first pattern.
 
-    Parameters
-    ----------
-    frequency_hz : float
-        Where.
-    amplitude : float
-        Of ψ', while in stall.
-    height : float
-        Power over that of the spectrum around it.
-    frequency_stderr_hz : float
-        Of the frequency, by the length of the record and the height.
+    The amplitude is that of ψ' while in stall, the height the power over that of the spectrum
+    around it; the error of the frequency follows from the length of the record and the height.
     """
 
     frequency_hz: float
     amplitude: float
     height: float
     frequency_stderr_hz: float
-
-    @property
-    def amplitude_stderr(self) -> float:
-        """Standard error of the amplitude: the spectrum around the line moves it."""
-        return self.amplitude / float(np.sqrt(2.0 * self.height))
 
 
 def ripple_line(reading: RecordReading) -> RippleLine | None:

@@ -20,19 +20,17 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
 from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
-from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Policy, System, Tried
 from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit, Structure, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
-from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import whole_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.probes import Probe
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.noise import Metric, NoiseModel
+from comparisons.missing_effect.probes import Leftover, Probe
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 N_TWINS, FEWEST_TWINS = 20, 6
 # Standard deviations of the null beyond which an effect is there: three, a dozen names paid for.
@@ -72,20 +70,11 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True)
 class Null:
-    """What an effect reads where it is not there.
+    """What an effect reads where it is not there, with the deviation over twins.
 
-    Parameters
-    ----------
-    share, share_sd : float
-        Share of the squared errors that it explains of a twin, mean and standard deviation.
-    number, number_sd : float
-        The number that it takes; its deviation over twins and specifications.
-    matters : float
-        Size of that number from which on the effect matters.
-    unit : str
-        Of the number.
-    by_inertia : float
-        How far a wrong ∫dx/A moves the number.
+    ``share`` is what it explains of the squared errors, ``number`` what it takes (over
+    specifications, too); ``matters`` is the size of that number from which on the effect matters,
+    ``by_inertia`` how far a wrong ∫dx/A moves it.
     """
 
     share: float
@@ -134,15 +123,7 @@ class Null:
 
 @dataclass(frozen=True)
 class Nulls:
-    """What twins of the records leave.
-
-    Parameters
-    ----------
-    by_effect : mapping of str to Null
-        Of each effect; empty where no twins were measured.
-    rms : float
-        Rms error of the model, mean over the twins.
-    """
+    """What each effect reads of twins (empty without twins), and their mean rms error."""
 
     by_effect: Mapping[str, Null]
     rms: float
@@ -155,14 +136,9 @@ NO_NULLS = Nulls({}, np.nan)
 class WholeRuns(Bench):
     """Whole runs as the search works on them: all rows fitted, all errors weighed alike.
 
-    Parameters
-    ----------
-    nulls : Nulls
-        What each effect reads of twins; without any, chance decides.
-    named : frozenset of str
-        What was found, and all that these records do not tell from it.
-    log_tau : float
-        Of the fit to both branches, in which each has a curve of its own.
+    Without nulls of twins chance decides; ``named`` is what was found, and all that these records
+    do not tell from it; ``log_tau`` is that of the fit to both branches, in which each has a curve
+    of its own.
     """
 
     policy: Policy = WHOLE_RUNS
@@ -188,8 +164,7 @@ class WholeRuns(Bench):
         self, effects: Sequence[Effect], library: Sequence[Effect] = ()
     ) -> Tried[Effect, Fit]:
         """Fit all that these runs can show, in the plain metric."""
-        prober = self.prober()
-        probes = [prober.probe(effect) for effect in effects if effect.name not in self.named]
+        probes = self.prober().probes(e for e in effects if e.name not in self.named)
         return Tried(self, [p.candidate(self.fitted(p)) for p in probes if p.starts])
 
     def leftover(
@@ -212,6 +187,21 @@ class WholeRuns(Bench):
     ) -> tuple[LagCandidate, ...]:
         """Return the alias set of the round that found it."""
         return () if step is None else step.aliases
+
+    @property
+    def own_noise(self) -> NoiseModel:
+        """All that the model leaves: it hides the law of the noise."""
+        return NoiseModel(rms_left(self), rms_left(self), (), 0.0)
+
+    @property
+    def left(self) -> FloatArray:
+        """Plain errors of the model on all rows, by fits to other cycles."""
+        return self.left_out * self.metric.sigma
+
+    @property
+    def held(self) -> BoolArray:
+        """Rows that were held out: each of them, with its cycle."""
+        return self.rows.valid
 
     @cached_property
     def left_out(self) -> FloatArray:
@@ -285,9 +275,9 @@ def plain_bench(
     return replace(bench, log_tau=log_tau)
 
 
-def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> dict[str, Fit]:
-    """Return the model of a bench with each effect, by name."""
-    return {c.name: c.fit for c in bench.tried(effects).candidates}
+def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> list[tuple[Effect, Fit]]:
+    """Return the model of a bench with each effect that it can show."""
+    return [(c.added[0], c.fit) for c in bench.tried(effects).candidates]
 
 
 def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
@@ -320,22 +310,8 @@ def nulls_of(
 ) -> Nulls:
     """Measure twins of the records, and fit every effect to them.
 
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        In the order of their clocks.
-    readings : sequence of RecordReading
-        Of each.
-    bench : WholeRuns
-        The model without any of them, and the rows.
-    effects : sequence of Effect
-        Names that compete.
-    without : ndarray of shape (N,)
-        On the fine rows, what ψ' has of an effect that is not to be in the twins.
-    n_twins : int
-        How many.
-    progress : callable
-        Wraps the iteration over the twins.
+    ``bench`` is the model without any of them; ``without`` is, on the fine rows, what ψ' has of an
+    effect that is not to be in the twins.
     """
     twins = []
     for number, reading in enumerate(readings):
@@ -347,18 +323,15 @@ def nulls_of(
             psi_p[run.start : run.start + stop - start] -= without[start:stop]
         twins.append(reading.twin(psi_p))
     rng = np.random.default_rng(0)
-
     rms = []
 
     def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
         data = whole_data(records, others)
         own = plain_bench(data, others, bench.fit.structure.terms, bench.n_names, bench.block_rows)
-        fits = fitted(own, tried)
         rms.append(rms_left(own))
         return {
-            e.name: (1.0 - fits[e.name].cost / own.fit.cost, number_of(e, fits[e.name], own))
-            for e in tried
-            if e.name in fits
+            e.name: (1.0 - fit.cost / own.fit.cost, number_of(e, fit, own))
+            for e, fit in fitted(own, tried)
         }
 
     measured, over_twins = [], []

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from comparisons.missing_effect.conclusion import LEAST_SIZE
 from comparisons.missing_effect.quantities import (
     PORT_WORDS,
     number_rows,
     plain_name,
+    scale_of,
     size_words,
 )
 from comparisons.missing_effect.results import (
@@ -21,9 +23,7 @@ from comparisons.missing_effect.results import (
     MissingEffect,
 )
 from comparisons.missing_effect.runs import CheckRun, rms
-from comparisons.missing_effect.scales import scale_of
-from comparisons.missing_effect.uncertainty import LEAST_SIZE
-from comparisons.missing_effect.where_words import SYMBOLS
+from comparisons.missing_effect.where_rows import SYMBOLS
 from surge_core.rounding import significant
 
 _LEADS = {
@@ -58,6 +58,15 @@ _ROWS = {
     "later time": "on later time",
     "other record": "on the other record",
     "held-out blocks": "in most held-out blocks",
+}
+# Where an effect of a user's model acts, the most telling first.
+_PLACES = {
+    "equation": " in the equation of {}",
+    "input": " at the input {}",
+    "sensor": " at the sensor of {}",
+    "parameter": " in the parameter {}",
+    "state": " of the state {}",
+    "channels": " in the recording of {}",
 }
 # Alias labels beyond these are given in the table and in the JSON.
 MOST_ALIASES = 4
@@ -162,21 +171,7 @@ def _named(item: MissingEffect) -> str:
     if "port" in place:
         term = item.label.removesuffix(f" {PORT_WORDS[place['port']]}").removeprefix("open_")
         return f"{name}{f', {term},' * item.unnamed} {PORT_WORDS[place['port']]}"
-    where = next(
-        (
-            words.format(place[key])
-            for key, words in (
-                ("equation", " in the equation of {}"),
-                ("input", " at the input {}"),
-                ("sensor", " at the sensor of {}"),
-                ("parameter", " in the parameter {}"),
-                ("state", " of the state {}"),
-                ("channels", " in the recording of {}"),
-            )
-            if key in place
-        ),
-        "",
-    )
+    where = next((words.format(place[key]) for key, words in _PLACES.items() if key in place), "")
     acts = "·".join(place[key] for key in ("signal", "times") if key in place)
     # An input or a state that acts on itself needs no second name.
     on = f", acting on {acts}" if acts and "equation" in place else ""

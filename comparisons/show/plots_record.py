@@ -177,7 +177,7 @@ def cycle_words(values: FloatArray, sample_rate_hz: float) -> str:
     sample_rate_hz : float
         Its sample rate.
     """
-    from comparisons.missing_effect.excitation import surge_frequency_hz
+    from comparisons.missing_effect.loading import surge_frequency_hz
 
     surge_hz = surge_frequency_hz(values, sample_rate_hz) if np.ptp(values) > 0.0 else 0.0
     if surge_hz <= 0.0:

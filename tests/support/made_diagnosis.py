@@ -12,18 +12,15 @@ from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Evidence
-from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.fit import Fit, Structure, errors_on
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.leftover import Leftover
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
+from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import Gap, MissingEffect, ParameterRow
-from comparisons.missing_effect.structure import Structure
 
 PERIOD_S = 0.01
 TAU_S = 0.1
@@ -148,7 +145,7 @@ def _found(
         LagCandidate((find_effect("bias_drift"),), made_fit(), np.zeros(0), evidence(-3.0, -8.0)),
     )
     doubts = Leftover(171.0, 38, 3e-51).doubts if verdict == "provisional" else ()
-    item = missing_effect(winner, members, parameters, {"score": 950.0}, doubts)
+    item = missing_effect(winner, parameters, {"score": 950.0}, doubts, members)
     return (item, fit), candidates
 
 

@@ -1,21 +1,28 @@
-"""The effects that a compressor's lag model may lack, by name."""
+"""The effects that a compressor's lag model may lack, by name: effects.toml says what each is."""
 
 from __future__ import annotations
 
-from comparisons.missing_effect.catalogue.characteristic_effects import CHARACTERISTIC_EFFECTS
-from comparisons.missing_effect.catalogue.lag_effects import INPUT_EFFECTS, LAG_EFFECTS
-from comparisons.missing_effect.catalogue.output_effects import FLOW_NOISE, OUTPUT_EFFECTS
-from comparisons.missing_effect.effect import Effect
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+
+from comparisons.missing_effect.catalogue.workings import WORKINGS
+from comparisons.missing_effect.effect import Effect, Parameter
 from surge_core.errors import InputError
 
 __all__ = ["CATALOGUE", "FLOW_NOISE", "find_effect"]
 
-CATALOGUE: tuple[Effect, ...] = (
-    *INPUT_EFFECTS,
-    *CHARACTERISTIC_EFFECTS,
-    *LAG_EFFECTS,
-    *OUTPUT_EFFECTS,
-)
+
+def _read() -> Iterator[Effect]:
+    text = files(__name__).joinpath("effects.toml").read_text("utf-8")
+    for name, entry in tomllib.loads(text).items():
+        parameters = tuple(Parameter(*row) for row in entry.pop("parameters"))
+        yield Effect(name, parameters=parameters, **entry, **WORKINGS[name])
+
+
+# Noise on φ is not searched among the others: it is found from the errors, as noise.
+*_NAMES, FLOW_NOISE = _read()
+CATALOGUE: tuple[Effect, ...] = tuple(_NAMES)
 
 
 def find_effect(name: str) -> Effect:
@@ -31,10 +38,7 @@ def find_effect(name: str) -> Effect:
     InputError
         For an unknown name.
     """
-    known = (*CATALOGUE, FLOW_NOISE)
-    for effect in known:
-        if effect.name == name:
-            return effect
-    raise InputError(
-        "effect", expected="one of " + ", ".join(e.name for e in known), found=repr(name)
-    )
+    known = {effect.name: effect for effect in (*CATALOGUE, FLOW_NOISE)}
+    if name not in known:
+        raise InputError("effect", expected=f"one of {', '.join(known)}", found=repr(name))
+    return known[name]

@@ -9,9 +9,9 @@ import pytest
 from effect_data import CUBIC, hidden, series_of, without_channels
 
 from comparisons.missing_effect import CATALOGUE, Effect, find_effect
+from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
 
 PORTS = {

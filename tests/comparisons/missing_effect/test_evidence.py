@@ -10,7 +10,7 @@ import pytest
 from comparisons.missing_effect.evidence import (
     Evidence,
     Rows,
-    alias_rows,
+    are_alike,
     evidence_of,
     paired_z,
 )
@@ -209,7 +209,10 @@ def test_where_model_error_rules_the_share_decides() -> None:
 def alias_case(
     noise: Array, base: Array, candidates: list[Array], scores: list[float]
 ) -> list[bool]:
-    return alias_rows(ROWS, base + noise, [c + noise for c in candidates], scores)
+    best = int(np.argmax(scores))
+    both = [(c + noise, candidates[best] + noise) for c in candidates]
+    pairs = [(score, scores[best]) for score in scores]
+    return [are_alike(ROWS, base + noise, *of) for of in zip(both, pairs, strict=True)]
 
 
 def test_twins_are_aliases_and_strangers_are_not() -> None:

@@ -20,17 +20,15 @@ from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
-from comparisons.missing_effect.extended_estimator import extended_specs
 from comparisons.missing_effect.extended_file import (
     load_extended,
     save_extended,
 )
 from comparisons.missing_effect.extended_lag import ExtendedLag
-from comparisons.missing_effect.extended_refit import refitted, value_of
-from comparisons.missing_effect.fit import fit_structure
+from comparisons.missing_effect.extended_refit import extended_specs, refitted, value_of
+from comparisons.missing_effect.fit import Structure, fit_structure
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.noise import Metric
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 from surge_core.errors import InputError
 

@@ -20,8 +20,7 @@ from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import fit_branches
 from comparisons.missing_effect import Diagnosis, diagnose, find_effect
-from comparisons.missing_effect.excitation import block_rows
-from comparisons.missing_effect.loading import reading_of, whole_data
+from comparisons.missing_effect.loading import block_rows, reading_of, whole_data
 from comparisons.missing_effect.whole_runs import nulls_of, plain_bench, rms_left
 from comparisons.rig import CASES
 from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC

@@ -14,7 +14,7 @@ from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.diagnosis import diagnose
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.limits import Limits, planted_limits
-from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.planting import Planter
 from comparisons.missing_effect.results import Diagnosis
 from comparisons.rig.coefficient_tests import Noise, simulate_test

@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import FlowNoise, Metric
-from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
+from comparisons.missing_effect.noise import FlowNoise, Metric, NoiseModel, noise_of, weights_of
 
 Array = np.ndarray
 SIGMA = 0.002

@@ -8,17 +8,19 @@ from effect_data import series_of
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.changed_records import CHANGES, Change, changed
 from comparisons.missing_effect.diagnosis import diagnose, diagnose_data
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.results import Diagnosis
 from comparisons.missing_effect.separate import (
+    CHANGES,
     TOLD_APART,
+    Change,
     Separation,
     _Rivals,
+    changed,
     separating_measurements,
 )
 from comparisons.rig.coefficient_tests import simulate_test

@@ -11,13 +11,12 @@ from scipy.integrate import solve_ivp
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, find_effect
-from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.catalogue.output_effects import stall_episodes
-from comparisons.missing_effect.kernels import lag_pass, varying_lag_pass
+from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
+from comparisons.missing_effect.fit import Structure
+from comparisons.missing_effect.kernels import varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.metric import Metric, projected
-from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.noise import Metric, projected
 
 Array = np.ndarray
 CUBIC = ("1", "phi", "phi^2", "phi^3")
@@ -344,7 +343,8 @@ def test_runs_do_not_know_of_each_other() -> None:
     assert np.allclose(both[11:], second)
     # By hand: the exact answer to straight lines, one row at a time.
     a, now, before = 0.7, 0.16, 0.14
-    found = lag_pass(columns, a, now, before, np.array([[0, 90]]), 1)
+    constant = np.repeat([[a], [now], [before]], 90, axis=1)
+    found = varying_lag_pass(columns, *constant, np.array([[0, 90]]), 1)
     state = columns[0]
     for k in range(1, 90):
         state = a * state + now * columns[k] + before * columns[k - 1]

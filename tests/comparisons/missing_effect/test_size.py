@@ -10,17 +10,18 @@ from effect_data import CUBIC, hidden, series_of
 
 from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.candidates import Bench, LagRound
-from comparisons.missing_effect.conclusion import concluded
-from comparisons.missing_effect.diagnosis import first_bench
-from comparisons.missing_effect.fit import Fit, fit_structure
-from comparisons.missing_effect.leftover import Leftover
-from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.results import SIZE, Diagnosis
-from comparisons.missing_effect.uncertainty import (
+from comparisons.missing_effect.conclusion import (
     LEAST_SIZE,
+    concluded,
+    covariance_of,
     fitted_parameters,
     size_in_errors,
 )
+from comparisons.missing_effect.diagnosis import first_bench
+from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.probes import Leftover
+from comparisons.missing_effect.results import SIZE, Diagnosis
 
 SHORT = {"seed": 3, "n_samples": 1000}
 
@@ -46,7 +47,9 @@ def size_of(bench: Bench, fit: Fit | None = None) -> float:
 def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) -> None:
     bench = with_effect(bench_of(planted), planted or "bias_drift")
     whole = bench.on_all_rows(bench.fit)
-    (number,) = fitted_parameters(whole, bench)[planted or "bias_drift"]
+    (number,) = fitted_parameters(whole, bench, covariance_of(whole, bench))[
+        planted or "bias_drift"
+    ]
     assert size_of(bench, whole) == pytest.approx(abs(number.value) / number.stderr, rel=1e-3)
     assert (size_of(bench, whole) > 10.0) is (planted is not None)
 
@@ -57,27 +60,15 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
     held = np.array([*bench.fit.nonlinear[:-1], 3e4])
     held[-2] = bench.fit.nonlinear[-2] * 3e4 / bench.fit.nonlinear[-1]
     slow = replace(bench.fit, nonlinear=held)
-    numbers = fitted_parameters(slow, bench)["facility_heating"]
+    numbers = fitted_parameters(slow, bench, covariance_of(slow, bench))["facility_heating"]
     assert all(number.stderr > abs(number.value) for number in numbers)
     assert size_of(bench, slow) > 10.0
 
 
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
-    rows = bench.data.scored()
-    left = base.base_errors, bench.base_errors
-    return concluded(
-        base,
-        bench,
-        [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))],
-        {effect.name: ()},
-        otherwise="nothing_missing",
-        doubts=(),
-        noise=bench.noise(bench.fit),
-        left=left,
-        held=rows,
-        floor_rms=1e-3,
-    )
+    rounds = [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))]
+    return concluded(base, bench, rounds, {effect.name: ()}, "nothing_missing", (), 1e-3)
 
 
 def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:

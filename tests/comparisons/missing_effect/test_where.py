@@ -11,9 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 from comparisons.missing_effect.where import where_of
-from comparisons.missing_effect.where_rows import Residuals, Where
+from comparisons.missing_effect.where_rows import Residuals, Where, describe
 from comparisons.missing_effect.where_spectrum import power_bound, power_z
-from comparisons.missing_effect.where_words import describe
 
 RATE_HZ = 100.0
 SURGE_HZ = (1.1, 0.9, 1.5)

@@ -12,8 +12,8 @@ from made_diagnosis import made_diagnosis as made_lag
 from made_systems import made_diagnosis
 
 from comparisons.missing_effect.plots import draw_diagnosis
+from comparisons.missing_effect.quantities import scale_of
 from comparisons.missing_effect.results import Diagnosis
-from comparisons.missing_effect.scales import scale_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
 
