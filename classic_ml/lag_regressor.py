@@ -19,14 +19,13 @@ from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
 from surge_core.display import Field, FittedDisplay, Sheet
-from surge_core.errors import InputError
+from surge_core.errors import InputError, one_of, positive, whole_number
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.leave_out import scatter
 from surge_core.rounding import significant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
-from surge_core.validation import one_of, positive, whole_number
 
 # Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
 NO_RESPONSE = 1e-12

@@ -38,7 +38,7 @@ from classic_ml.segments import (
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
 from classic_ml.whole_record.rakes import RakeSignals, rake_signals
-from classic_ml.work.forms import with_work
+from classic_ml.work.balance import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray

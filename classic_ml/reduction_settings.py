@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.work.forms import WORK_FORMS
-from surge_core.errors import InputError
-from surge_core.validation import one_of, positive
+from classic_ml.work.balance import WORK_FORMS
+from surge_core.errors import InputError, one_of, positive
 
 _CHOICES = {
     "filter_order": (3, 5),

@@ -17,9 +17,8 @@ from classic_ml.coefficients import rate_of_change
 from classic_ml.filters import low_pass
 from classic_ml.flow import mach_from_corrected_flow, pair_flow, physical_flow
 from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
-from classic_ml.whole_record.chain import Chain, PairChain
 from classic_ml.whole_record.passes import Passes
-from classic_ml.whole_record.rakes import Planes, RakeSignals
+from classic_ml.whole_record.rakes import Chain, PairChain, Planes, RakeSignals
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # What a twin takes for the truth holds the cells with a harmonic, and hardly any of the noise.

@@ -22,10 +22,11 @@ from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
     N_TWINS,
+    RAMP_MACH,
+    Scatter,
     WholeRecordFit,
     fit_whole_record,
 )
-from classic_ml.whole_record_interval import RAMP_MACH, Scatter
 from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
 from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
 from surge_core.display import Field

@@ -11,13 +11,13 @@ import numpy as np
 from sindy_surge.constraints import Constraints, constraints_of
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
-from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
     StructureFit,
     WhiteEquations,
     information,
     refitted,
+    sandwich,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
@@ -25,9 +25,14 @@ from sindy_surge.linear_problem import Support
 from sindy_surge.noise import autoregression
 from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
-from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
+from sindy_surge.selection import (
+    PathRow,
+    Selection,
+    inclusion_probabilities,
+    information_penalty,
+    select_structure,
+)
 from sindy_surge.state_terms import PhysicalForm
-from sindy_surge.uncertainty import sandwich
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 

@@ -30,12 +30,11 @@ from classic_ml.work.balance import (
     flat_average,
     impossible_rows,
 )
-from surge_core.errors import InputError
+from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag
 from surge_core.leave_out import leave_out, scatter
 from surge_core.types import BoolArray, FloatArray, IntArray
-from surge_core.validation import positive
 
 # Rows below are simulated, not scored; what is left near zero flow has next to no power.
 SCORED_PHI = 0.01

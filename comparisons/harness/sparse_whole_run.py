@@ -21,8 +21,7 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
-from classic_ml.whole_record_fit import LARGEST_SHARE
-from classic_ml.whole_record_interval import from_plane_to_plane, law_of_probes
+from classic_ml.whole_record_fit import LARGEST_SHARE, from_plane_to_plane, law_of_probes
 from classic_ml.whole_record_run import window_of
 from classic_ml.whole_run import (
     Spread,
@@ -45,10 +44,9 @@ from surge_core.lag import Hold
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
-    from sindy_surge.departure import Departure
     from sindy_surge.selection import PathRow
-    from sindy_surge.sparse_run import SparseRun
-    from sindy_surge.summary import ModelSummary
+    from sindy_surge.sparse_run import Departure, SparseRun
+    from sindy_surge.text import ModelSummary
 
 # Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
 LOWEST_PHI, GUARD_S = 0.01, 0.003
@@ -97,8 +95,7 @@ class SparseWholeRunFit(WholeRunFit):
 
     def summary(self) -> ModelSummary:
         """Return what is known of the fit; of a refused one no terms."""
-        from sindy_surge.summary import ModelSummary
-        from sindy_surge.text import EquationParts
+        from sindy_surge.text import EquationParts, ModelSummary
 
         terms = () if math.isnan(self.time_constant_s_) else tuple(self.terms_)
         parts = EquationParts(

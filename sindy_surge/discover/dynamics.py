@@ -14,10 +14,9 @@ from sindy_surge.discover.features import Features
 from sindy_surge.discover.levels import Level, search_by_levels
 from sindy_surge.discover.trajectories import Trajectories
 from sindy_surge.search import Tried
-from surge_core.errors import InputError
+from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
-from surge_core.validation import one_of
 
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sindy_surge.discover.smoothing import smoothed
-from sindy_surge.noise import difference_noise
+from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray

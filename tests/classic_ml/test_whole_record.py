@@ -22,8 +22,7 @@ from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record
-from classic_ml.whole_record_interval import with_stored_gas
+from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
