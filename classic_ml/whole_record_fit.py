@@ -114,22 +114,19 @@ def _with_psi_p(psi_p: FloatArray, reading: RecordReading, fit: BranchFit) -> Br
     return reading.with_psi_p(moved).fit(near_s=fit.tau_s)
 
 
-def within_bounds(moved: Sequence[BranchFit], fit: BranchFit, degree: int) -> Scatter:
-    """Return the spread where each moved fit shows how far off the truth may be, and no more.
-
-    Between bounds of ± a with nothing known inside the standard deviation is a/√3 (Guide to the
-    Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
-    """
-    logs = np.log([each.tau_s / fit.tau_s for each in moved])
-    apart = np.array([(each.coefficients - fit.coefficients)[: degree + 1] for each in moved])
-    return Scatter(math.sqrt(float(logs @ logs) / 3.0), 0.0, apart.T @ apart / 3.0, len(moved))
-
-
 def from_plane_to_plane(reading: RecordReading, fit: BranchFit) -> tuple[float, BranchFit, Scatter]:
-    """Return by how much plane 31 seems late, the fit without that, and what Eq 5 leaves open."""
+    """Return by how much plane 31 seems late, the fit without that, and what Eq 5 leaves open.
+
+    Two moved fits show how far off the truth may be, and no more: between bounds of ± a with
+    nothing known inside the standard deviation is a/√3 (Guide to the Expression of Uncertainty in
+    Measurement, JCGM 100:2008, 4.3.7).
+    """
     late_s, on_time = delay_of_exit(reading, fit)
-    moved = on_time, with_stored_gas(reading, fit)
-    return late_s, on_time, within_bounds(moved, fit, reading.spec.degree)
+    moved, q = (on_time, with_stored_gas(reading, fit)), reading.spec.degree + 1
+    logs = np.log([each.tau_s / fit.tau_s for each in moved])
+    apart = np.array([(each.coefficients - fit.coefficients)[:q] for each in moved])
+    open_ = Scatter(math.sqrt(float(logs @ logs) / 3.0), 0.0, apart.T @ apart / 3.0, len(moved))
+    return late_s, on_time, open_
 
 
 def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:

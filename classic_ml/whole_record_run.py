@@ -220,11 +220,6 @@ class _Answer:
     coefficients: FloatArray
     covariance: FloatArray
 
-    def widened(self, planes: Scatter) -> _Answer:
-        """Return the answer with what the time from plane to plane may do."""
-        share = math.hypot(self.share, planes.log_tau)
-        return replace(self, share=share, covariance=self.covariance + planes.curve)
-
     def with_second(
         self, second: WholeRunFit, fits: tuple[WholeRecordFit, ...], planes: Scatter
     ) -> _Answer | Reading:
@@ -277,7 +272,8 @@ def _combined(
         else:
             answer = found
     # Both readings, and records of one rig, share what the planes do: nothing of it averages out.
-    answer = answer.widened(planes)
+    share, covariance = math.hypot(answer.share, planes.log_tau), answer.covariance + planes.curve
+    answer = replace(answer, share=share, covariance=covariance)
     if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
     return _result(records, fits, answer, state, other)
