@@ -12,12 +12,24 @@ from sklearn.metrics import r2_score
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
-from classic_ml.characteristics import feature_names, polynomial_names, term_names
-from classic_ml.fitted_curve import factor, lag_sheet
-from classic_ml.lag_data import LagData, Terms, nearly_orthogonal
+from classic_ml.characteristics import (
+    factor,
+    feature_names,
+    lag_sheet,
+    polynomial_names,
+    term_names,
+)
+from classic_ml.lag_data import (
+    MAXIMUM_ORDER,
+    NOISE_KINDS,
+    LagData,
+    MovingAverage,
+    NoiseKind,
+    Terms,
+    nearly_orthogonal,
+)
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised
-from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
 from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError, one_of, positive, whole_number
 from surge_core.fit_state import FitState

@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from classic_ml.lag_data import LagData
-from classic_ml.noise_models import MovingAverage
+from classic_ml.lag_data import LagData, MovingAverage
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 

@@ -22,8 +22,8 @@ from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels
+from classic_ml.flow import local_flows, plane_averages
 from classic_ml.free_run import extend_while_settled, free_run_rows
-from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.cycles import first_reversal
-from classic_ml.filters import period_average
+from classic_ml.filters import peak_frequency_hz, period_average, power_spectrum
 from classic_ml.flow import LBM_KG
 from classic_ml.intervals import intervals_where, label_intervals
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, counted
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import Constraints, constraints_of
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
@@ -32,7 +33,6 @@ from sindy_surge.selection import (
     information_penalty,
     select_structure,
 )
-from sindy_surge.state_terms import PhysicalForm
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 

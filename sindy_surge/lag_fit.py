@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.free_run import FreeRunEquations
 from sindy_surge.lag_equations import (
     Equations,
     Point,

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import Constraints
 from sindy_surge.lag_fit import StructureFit, WhiteEquations, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support, unit_norms, without_nuisances
 from sindy_surge.preparation import Prepared
 from sindy_surge.search import Search, beam_search, best_of_equation, proposals
-from sindy_surge.state_terms import PhysicalForm
 from surge_core.types import FloatArray
 
 # Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
-from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
+from sindy_surge.free_run import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import Trials, polynomial_ladder, with_held_out
 from sindy_surge.linear_problem import Support, least_squares, leave_out_moves
 from sindy_surge.selection import PathRow

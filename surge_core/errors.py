@@ -23,8 +23,7 @@ def positive(name: str, value: object) -> None:
 
 def whole_number(name: str, value: object, low: int, high: int) -> None:
     """Refuse a value that is not a whole number in [low, high]."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (whole and low <= value <= high):
+    if isinstance(value, bool) or not isinstance(value, Integral) or not low <= int(value) <= high:
         raise InputError(name, expected=f"a whole number from {low} to {high}", found=repr(value))
 
 

@@ -2,20 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.calibration import total_reading
-from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
-from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, MARK_WORDS, SPIKED, STUCK, alike
+from classic_ml.description import (
+    AnyChannel,
+    CountChannel,
+    PressureChannel,
+    TemperatureChannel,
+    TestDescription,
+)
 from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.spikes import spike_rows
 from classic_ml.intervals import equal_runs
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
 from surge_core.types import FloatArray, IntArray
+
+# Kinds of mark in the channels `fault_NAME`, added up where they coincide.
+CLIPPED = 1
+STUCK = 2
+BEYOND_LIMITS = 4
+SPIKED = 8
+MARK_WORDS = {
+    CLIPPED: "clipped",
+    STUCK: "stuck or dropped out",
+    BEYOND_LIMITS: "beyond its limits",
+    SPIKED: "spiked",
+}
+
+
+def alike(channels: Iterable[PressureChannel | TemperatureChannel], *keys: str) -> list[list[str]]:
+    """Return the names of the channels that are alike in some of their places, in groups."""
+    groups: dict[tuple[object, ...], list[str]] = {}
+    for channel in channels:
+        place = tuple(getattr(channel, key) for key in keys)
+        groups.setdefault(place, []).append(channel.name)
+    return list(groups.values())
+
 
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05

@@ -151,7 +151,7 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
-    from sindy_surge.free_run_equations import FreeRunEquations
+    from sindy_surge.free_run import FreeRunEquations
     from sindy_surge.segments import Segments
     from sindy_surge.sparse_run import select_on_free_run
 

@@ -10,9 +10,8 @@ from sklearn.base import BaseEstimator
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
-from sindy_surge.discover.features import Features
 from sindy_surge.discover.levels import Level, search_by_levels
-from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.discover.trajectories import Features, Trajectories
 from sindy_surge.search import Tried
 from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
