@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import feature_names
 from classic_ml.lag_regressor import LagRegressor
-from classic_ml.linearised import CycleShifts, LinearisedFit, cycle_shifts
+from classic_ml.likelihood import CycleShifts, LinearisedFit, cycle_shifts
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

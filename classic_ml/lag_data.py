@@ -277,17 +277,13 @@ class LagData:
         return np.add.outer(begins, np.arange(self.ahead)).astype(np.int64).ravel()
 
     @cached_property
-    def root(self) -> FloatArray | None:
-        """Square root of the weight of each error, None where all are one."""
-        if np.all(self.weight == 1.0):
-            return None
+    def root(self) -> FloatArray:
+        """Square root of the weight of each error."""
         return np.asarray(np.sqrt(self.weight[self.rows_of_errors]))
 
     @cached_property
     def scored(self) -> IntArray:
         """Places of the errors that count."""
-        if self.root is None:
-            return np.arange(self.rows_of_errors.size)
         return np.flatnonzero(self.root > 0.0)
 
     @property
@@ -316,9 +312,5 @@ class LagData:
             left -= run.stop - run.start
         end = runs[-1].stop
         return replace(
-            self,
-            y=self.y[:end],
-            terms=self.terms[:end],
-            weight=self.weight[:end],
-            runs=tuple(runs),
+            self, y=self.y[:end], terms=self.terms[:end], weight=self.weight[:end], runs=tuple(runs)
         )

@@ -29,7 +29,7 @@ from classic_ml.lag_data import (
     nearly_orthogonal,
 )
 from classic_ml.lag_fit import LagFit, fit_lag
-from classic_ml.linearised import LinearisedFit, linearised
+from classic_ml.likelihood import LinearisedFit, linearised
 from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError, one_of, positive, whole_number
 from surge_core.fit_state import FitState

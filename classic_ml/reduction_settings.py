@@ -10,11 +10,7 @@ import numpy as np
 from classic_ml.work.balance import WORK_FORMS
 from surge_core.errors import InputError, one_of, positive
 
-_CHOICES = {
-    "filter_order": (3, 5),
-    "phase": ("zero", "causal", "none"),
-    "work_form": WORK_FORMS,
-}
+_CHOICES = {"filter_order": (3, 5), "phase": ("zero", "causal", "none"), "work_form": WORK_FORMS}
 # What must be above zero, or one of these.
 _POSITIVE: dict[str, tuple[object, ...]] = {
     "cutoff_hz": (),

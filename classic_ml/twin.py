@@ -76,11 +76,7 @@ class Twin:
 
 
 def twin_of(
-    signals: RakeSignals,
-    passes: Passes,
-    spec: Specification,
-    in_stall: BoolArray,
-    fit: BranchFit,
+    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
 ) -> Twin:
     """Return the twin of a record under a fitted model.
 

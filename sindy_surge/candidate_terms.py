@@ -37,11 +37,7 @@ class ProductStateTerms:
 
     @classmethod
     def of(
-        cls,
-        psi_p: FloatArray,
-        input_names: Sequence[str],
-        output_name: str,
-        known: Sequence[str],
+        cls, psi_p: FloatArray, input_names: Sequence[str], output_name: str, known: Sequence[str]
     ) -> ProductStateTerms:
         """Make the terms for the range of ψ', beside the terms `known` of the inputs."""
         names = [f"{output_name}^{power}" for power in _OWN_POWERS]

@@ -39,9 +39,7 @@ _FIRST_GUESS = 20
 
 
 def half_width_samples(
-    segments: Segments,
-    time_constant_s: float,
-    sample_period_s: float,
+    segments: Segments, time_constant_s: float, sample_period_s: float
 ) -> int | None:
     """Return the half width in samples: 2 τ, never more than the segments allow.
 
@@ -344,23 +342,9 @@ def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
     return prepared.excess > _MOST_EXCESS or (not consistent and coloured)
 
 
-@dataclass(frozen=True)
-class HeldOutFit:
-    """The structure chosen by cycles left out, fitted in the weak form."""
-
-    support: Support  # Positions of the terms within the usable columns
-    parameters: FloatArray  # (n_support + 1,): β in physical units and, last, τ in seconds
-    covariance: FloatArray  # (n_support + 1, n_support + 1): Their covariance
-    # Each structure tried, with the errors of its weak equations on blocks left out and its τ
-    trials: Trials
-
-
 def select_by_held_out(
-    problem: LagProblem,
-    optimizer: Any,
-    max_terms: int,
-    constraints: Constraints,
-) -> HeldOutFit | None:
+    problem: LagProblem, optimizer: Any, max_terms: int, constraints: Constraints
+) -> tuple[Support, FloatArray, FloatArray, Trials] | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
 
     Where the model is wrong, its error comes again in every cycle. Cycles left out then do not
@@ -376,7 +360,8 @@ def select_by_held_out(
     segments and the fast part of the error, both of which a free run or a one-step fit
     takes for dynamics.
 
-    None if the segments are too short for the weak form, or the structure chosen gives no lag.
+    Returned are the terms, β in physical units with τ in seconds last, their covariance, and each
+    structure tried. None if the segments are too short for the weak form, or no lag comes out.
     """
     weak = WeakEquations.of(problem)
     if weak is None:
@@ -407,7 +392,7 @@ def select_by_held_out(
     parameters, design, residual = weak.fit(chosen)
     covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
     covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
-    return HeldOutFit(chosen, parameters, covariance, trials)
+    return chosen, parameters, covariance, trials
 
 
 def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, IndexArray]]:

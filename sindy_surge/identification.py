@@ -327,17 +327,17 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     # A dead time is tested against noise, of which there is next to none: an error of the model
     # passed for it.
     problem = search.prepared.problem.with_dead_time(0.0, False)
-    fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.constraints)
-    if fit is None:
+    found = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.constraints)
+    if found is None:
         return None
-    beta, tau = fit.parameters[:-1], float(fit.parameters[-1])
+    support, parameters, covariance, trials = found
     return Identified(
         problem,
-        problem.model(fit.support, beta, tau, problem.dead_time_s),
+        problem.model(support, parameters[:-1], float(parameters[-1]), problem.dead_time_s),
         0.0,
-        fit.covariance,
+        covariance,
         FitState.MODEL_ERROR_DOMINATES,
-        with_held_out(search.found.path, fit.trials, fit.support, problem.every_name),
+        with_held_out(search.found.path, trials, support, problem.every_name),
         (),
         {},
         (),

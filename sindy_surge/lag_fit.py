@@ -197,14 +197,7 @@ def fit_structure(
         # The second condition ends a run into a bound.
         converged = step > 0 and (moved < enough or (at_bound and step > 8))
     return StructureFit(
-        support,
-        point,
-        white,
-        columns,
-        prior,
-        eq.whitener.groups,
-        converged,
-        eq.greatest_gain < 1.0,
+        support, point, white, columns, prior, eq.whitener.groups, converged, eq.greatest_gain < 1.0
     )
 
 

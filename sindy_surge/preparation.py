@@ -17,12 +17,7 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import (
-    LinearProblem,
-    least_squares,
-    unit_norms,
-    without_nuisances,
-)
+from sindy_surge.linear_problem import LinearProblem, least_squares, unit_norms, without_nuisances
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.search import beam_search
 from surge_core.types import FloatArray

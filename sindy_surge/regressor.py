@@ -235,11 +235,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return () if alike else binding_constraints(free.form(), wishes)
 
     def _fit_static(
-        self,
-        values: FloatArray,
-        y: FloatArray,
-        state: FitState,
-        columns: NDArray[np.intp],
+        self, values: FloatArray, y: FloatArray, state: FitState, columns: NDArray[np.intp]
     ) -> None:
         """Fit ψ' = ψ'_QS(φ) with coefficients of least norm, each on its unit-size term."""
         norms = unit_norms(values)

@@ -14,7 +14,6 @@ import numpy as np
 from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import Constraints
 from sindy_surge.lag_fit import StructureFit, WhiteEquations, fit_structure, white_equations
-from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support, unit_norms, without_nuisances
 from sindy_surge.preparation import Prepared
 from sindy_surge.search import Search, beam_search, best_of_equation, proposals
@@ -146,10 +145,7 @@ def information_penalty(n_equations: int, n_terms: int) -> float:
 
 
 def select_structure(
-    prepared: Prepared,
-    optimizer: Any,
-    max_terms: int,
-    constraints: Constraints,
+    prepared: Prepared, optimizer: Any, max_terms: int, constraints: Constraints
 ) -> Selection:
     """Choose the terms.
 
@@ -170,23 +166,6 @@ def select_structure(
 
 
 @dataclass(frozen=True)
-class _LagLikelihood:
-    """Whitened for noise on both channels; fits start from that of all terms."""
-
-    problem: LagProblem
-    rich: StructureFit
-    about: LinearProblem
-
-    def try_terms(self, support: Support, near: StructureFit) -> tuple[StructureFit, float]:
-        tau, beta = self.rich.time_constant_s, self.about.coefficients(support)
-        fit = fit_structure(self.problem, support, tau, beta, near=near)
-        return fit, fit.chi2
-
-    def regression(self, fit: StructureFit) -> LinearProblem:
-        return white_equations(self.problem, fit).compressed()
-
-
-@dataclass(frozen=True)
 class _Tested:
     """What the regression about a structure's own fit says of it."""
 
@@ -202,12 +181,7 @@ class _Search(Search[StructureFit]):
     compared are structures about one fit, that of the smallest.
     """
 
-    def __init__(
-        self,
-        prepared: Prepared,
-        max_terms: int,
-        constraints: Constraints,
-    ) -> None:
+    def __init__(self, prepared: Prepared, max_terms: int, constraints: Constraints) -> None:
         self.problem, self.rich = prepared.problem, prepared.rich
         self.max_terms, self.constraints = max_terms, constraints
         self.about = white_equations(self.problem, self.rich).compressed()
@@ -215,10 +189,20 @@ class _Search(Search[StructureFit]):
         n_terms = self.about.columns.shape[1]
         price = information_penalty(self.about.n_equations, n_terms)
         free = tuple(i for i in range(n_terms) if i not in constraints.required)
-        super().__init__(_LagLikelihood(self.problem, self.rich, self.about), [free], price)
+        super().__init__(self, [free], price)
         self.rough: dict[Support, float] = {}
         self.queue: list[Support] = []
         self.tested: dict[Support, _Tested] = {}
+
+    def try_terms(self, support: Support, near: StructureFit) -> tuple[StructureFit, float]:
+        """Fit some terms, whitened for noise on both channels, from τ and β of all terms."""
+        tau, beta = self.rich.time_constant_s, self.about.coefficients(support)
+        fit = fit_structure(self.problem, support, tau, beta, near=near)
+        return fit, fit.chi2
+
+    def regression(self, fit: StructureFit) -> LinearProblem:
+        """Return the regression on all terms about a fit."""
+        return white_equations(self.problem, fit).compressed()
 
     def standing(self) -> list[Support]:
         """Return the structures that no other refutes."""
@@ -268,7 +252,7 @@ class _Search(Search[StructureFit]):
     def _test(self, support: Support) -> None:
         """Fit a structure, compare it with others about its own fit, and queue what that asks."""
         fit = self.try_support(support, self.rich, "").fit
-        linear = self.likelihood.regression(fit)
+        linear = self.regression(fit)
         own, size = linear.score(support, self.price), len(support)
         required, (free,) = self.constraints.required, self.equations
         most = self.max_terms + 1 - len(required)

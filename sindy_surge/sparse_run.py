@@ -179,26 +179,12 @@ def select_on_free_run(
 ) -> SparseRun:
     """Choose a parabola, a cubic or a parabola with a kink, and fit it on free runs.
 
-    The parabola is left only where that saves more of the error than a needless term does.
-
-    Parameters
-    ----------
-    equations : FreeRunEquations
-        The candidate terms, what is in every structure, ψ' and which rows are scored.
-    names, degrees : sequence of str and of int or None
-        Names and total degrees of the candidate terms; None for one that is no polynomial.
-    cycles : ndarray of int of shape (n_rows,)
-        Number of the cycle of each row: what is left out together.
-    judged : FreeRunEquations, optional
-        The same columns with other rows scored, on which terms are chosen: more rows show more of
-        the curve, where they would move τ.
-    shows_shape : bool
-        Whether the parabola may be left.
-    max_terms : int
-        Largest structure considered.
-    common_tau_share, common_curve_share : float
-        Standard errors that all cycles share, as shares of τ and of the mean of abs(ψ') over the
-        scored rows: no jackknife over cycles sees them.
+    The parabola is left only where that saves more of the error than a needless term does, and
+    where the runs show the shape at all. ``names`` and total ``degrees`` are those of the candidate
+    terms, None for one that is no polynomial; ``cycles`` numbers the cycle of each row, which is
+    left out as one. ``judged`` are the same columns with other rows scored, on which terms are
+    chosen: more rows show more of the curve, where they would move τ. The common shares are
+    standard errors of τ, and of the mean of abs(ψ'), that no jackknife over cycles sees.
     """
     columns = equations.columns
     most = min(max_terms, columns.shape[1])

@@ -202,10 +202,6 @@ def _delayed(term: str, parts: EquationParts) -> str:
     if not parts.dead_time_s:
         return term
     when = f"(t{-parts.dead_time_s:+.6g})"
-    return _whole_words(parts.input_names).sub(lambda match: match.group() + when, term)
-
-
-def _whole_words(names: Sequence[str]) -> re.Pattern[str]:
-    """Match any of the names, the longest first, where it stands by itself."""
-    longest_first = sorted(filter(None, names), key=len, reverse=True)
-    return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
+    # The longest name first, and each where it stands by itself.
+    names = map(re.escape, sorted(filter(None, parts.input_names), key=len, reverse=True))
+    return re.sub(rf"(?<!\w)(?:{'|'.join(names)})(?!\w)", lambda m: m.group() + when, term)

@@ -68,11 +68,7 @@ class Collocation:
         return replace(self, rows=rows)
 
     def fit(
-        self,
-        support: IndexArray,
-        xi: FloatArray,
-        x: FloatArray,
-        ridge: FloatArray | None = None,
+        self, support: IndexArray, xi: FloatArray, x: FloatArray, ridge: FloatArray | None = None
     ) -> Fit:
         """Fit some terms, from coefficients (n_terms, n_states) and states (n_rows, n_states).
 

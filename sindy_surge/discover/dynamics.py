@@ -92,11 +92,7 @@ class SparseDynamics(BaseEstimator):
         self.random_state = random_state
 
     def fit(
-        self,
-        x: Any,
-        t: Any,
-        u: Any = None,
-        feature_names: Sequence[str] | None = None,
+        self, x: Any, t: Any, u: Any = None, feature_names: Sequence[str] | None = None
     ) -> Self:
         """Discover the equations.
 

@@ -10,13 +10,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from sindy_surge.discover.loop_balance import Balance, fit_balance
-from sindy_surge.discover.loop_lag import (
-    Branch,
-    LagFit,
-    LagRows,
-    fit_one_branch,
-    fit_two_branches,
-)
+from sindy_surge.discover.loop_lag import Branch, LagFit, LagRows, fit_one_branch, fit_two_branches
 from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
