@@ -23,7 +23,6 @@ from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels
 from classic_ml.flow import local_flows, plane_averages
-from classic_ml.free_run import extend_while_settled, free_run_rows
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
@@ -31,6 +30,8 @@ from classic_ml.segments import (
     cell_frequency_hz,
     cell_period_s,
     estimated_threshold_lbm_s,
+    extend_while_settled,
+    free_run_rows,
     hub_tip_stall,
     segment,
     shows_stall,

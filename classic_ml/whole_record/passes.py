@@ -15,8 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from classic_ml.filters import period_average
-from classic_ml.free_run import near
-from classic_ml.segments import PLAIN_PERIOD_S, threshold_between
+from classic_ml.segments import PLAIN_PERIOD_S, near, threshold_between
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
 from surge_core.segments import runs_of

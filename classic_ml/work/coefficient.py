@@ -19,10 +19,9 @@ from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import choked_flow, corrected_from_physical
-from classic_ml.free_run import near
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.segments import cell_frequency_hz, hub_tip_stall
+from classic_ml.segments import cell_frequency_hz, hub_tip_stall, near
 from classic_ml.work.balance import (
     MIXING_PHI,
     delivered_power,

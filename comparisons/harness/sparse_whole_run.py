@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.free_run import near
 from classic_ml.record_reading import RecordReading
+from classic_ml.segments import near
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
