@@ -26,15 +26,12 @@ MAXIMUM_ORDER = 2
 class MovingAverage:
     """The polynomial C(q) = 1 + c₁q⁻¹ + c₂q⁻² of an armax error, invertible by construction.
 
-    Parameters
-    ----------
-    free : ndarray of shape (order,)
-        Unbounded parameters ρ; the partial coefficients are κ = tanh ρ, and c₁ = κ₁(1 + κ₂),
-        c₂ = κ₂ (Barndorff-Nielsen and Schou 1973), so that every ρ gives roots inside the unit
-        circle and the whitening filter 1/C never blows up.
+    The partial coefficients are κ = tanh ρ, and c₁ = κ₁(1 + κ₂), c₂ = κ₂ (Barndorff-Nielsen and
+    Schou 1973), so that every ρ gives roots inside the unit circle and the whitening filter 1/C
+    never blows up.
     """
 
-    free: FloatArray
+    free: FloatArray  # (order,): Unbounded parameters ρ
 
     @classmethod
     def from_coefficients(cls, c: FloatArray) -> MovingAverage:

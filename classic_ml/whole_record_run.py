@@ -257,6 +257,7 @@ def _combined(
     fits: tuple[WholeRecordFit, ...],
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
+    """Return one answer from the fits of all records and, if there is one, another reading."""
     log_tau, share = _mean_of([(math.log(fit.tau_s), fit.own_share) for fit in fits])
     # One law of the probes holds for all records: what is not known of it does not average out.
     share = math.hypot(share, max(abs(fit.probe_law) for fit in fits))
@@ -272,36 +273,24 @@ def _combined(
         else:
             answer = found
     # Both readings, and records of one rig, share what the planes do: nothing of it averages out.
-    share, covariance = math.hypot(answer.share, planes.log_tau), answer.covariance + planes.curve
-    answer = replace(answer, share=share, covariance=covariance)
-    if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
+    share, tau_s = math.hypot(answer.share, planes.log_tau), math.exp(answer.log_tau)
+    if not state.withholds and math.isfinite(share) and not share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
-    return _result(records, fits, answer, state, other)
-
-
-def _result(
-    records: Sequence[CoefficientSeries],
-    fits: tuple[WholeRecordFit, ...],
-    answer: _Answer,
-    state: FitState,
-    second: Reading | None,
-) -> WholeRecordRun:
-    tau_s, share = math.exp(answer.log_tau), answer.share
     degree = fits[0].reading.spec.degree
     rows = _rows(records, fits, degree)
     model = output_error(records[0].sample_period_s, "first", tau_s)
     stacked_rows(rows).fitted(model)
     reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
     low_s, high_s = tau_s / reach, tau_s * reach
-    if second is not None:
-        low_s, high_s = min(low_s, second.ci95_s[0]), max(high_s, second.ci95_s[1])
+    if other is not None:
+        low_s, high_s = min(low_s, other.ci95_s[0]), max(high_s, other.ci95_s[1])
         share = math.log(high_s / low_s) / (2.0 * QUANTILE)
     run = WholeRecordRun(
         tau_s,
         tau_s * share,
         polynomial_names("phi", degree),
         answer.coefficients,
-        answer.covariance,
+        answer.covariance + planes.curve,
         degree,
         sum(fit.cycles.n for fit in fits),
         state,
@@ -309,7 +298,7 @@ def _result(
         rows,
         fits,
         (low_s, high_s),
-        second,
+        other,
     )
     nothing = math.nan, math.nan
     return replace(run.withheld(state), ci95_s_=nothing) if state.withholds else run

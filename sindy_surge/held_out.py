@@ -391,7 +391,7 @@ def select_by_held_out(
         return None
     parameters, design, residual = weak.fit(chosen)
     covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
-    covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
+    covariance += _beyond_cycles(problem, weak, chosen, design, residual)
     return chosen, parameters, covariance, trials
 
 
@@ -407,25 +407,19 @@ def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, 
     return blocks
 
 
-def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return the covariance that errors have which every cycle repeats.
+def _beyond_cycles(
+    problem: LagProblem, weak: WeakEquations, support: Support, design: FloatArray, rest: FloatArray
+) -> FloatArray:
+    """Return the covariance of what no cycle left out shows.
 
-    Cycles that repeat an error agree about it, and their scatter says nothing of its size. The
-    information is that of one cycle, however many there are.
+    Cycles that repeat an error agree about it, and their scatter says nothing of its size: its
+    information is that of one cycle, however many there are. And a true model gives one answer for
+    every test function and either direction of the regression; the mean square of the two shifts,
+    to the other direction and to a narrower function, is what a wrong one adds.
     """
-    total = float(residual @ residual) / _EQUATIONS_IN_CYCLE
     norms = unit_norms(design)
     scaled = design / norms
     inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True) / np.outer(norms, norms)
-    return np.asarray(total * inverse)
-
-
-def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> FloatArray:
-    """Return what the choice of the weak form adds: the other direction, a narrower function.
-
-    A true model gives one answer for every test function and either direction of the
-    regression; the mean square of the two shifts is what a wrong one adds.
-    """
     others = [weak.fit_forward(support)]
     narrow = round(weak.half_width / np.sqrt(2.0))
     narrower = WeakEquations.of(problem, narrow) if narrow >= MIN_HALF_WIDTH else None
@@ -434,4 +428,5 @@ def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> Float
     parameters = weak.fit(support)[0]
     shifts = np.array([other - parameters for other in others if other is not None])
     shifts = shifts.reshape(-1, parameters.size)
-    return np.asarray(shifts.T @ shifts / max(len(shifts), 1))
+    repeated = float(rest @ rest) / _EQUATIONS_IN_CYCLE * inverse
+    return np.asarray(repeated + shifts.T @ shifts / max(len(shifts), 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import comb
 from typing import Any
 
@@ -24,6 +25,7 @@ _MOST_REACH = 0.05
 _FEWEST_TERMS = 15
 
 
+@dataclass
 class StallLibrary:
     """pysindy's polynomials, and terms of a compressor characteristic for each input on its own.
 
@@ -36,15 +38,9 @@ class StallLibrary:
     for each input, and without them there are polynomials alone.
     """
 
-    def __init__(
-        self,
-        degree: int,
-        knots: Sequence[Sequence[float]] = (),
-        scales: Sequence[Sequence[float]] = (),
-    ) -> None:
-        self.degree = degree
-        self.knots = knots
-        self.scales = scales
+    degree: int
+    knots: Sequence[Sequence[float]] = ()
+    scales: Sequence[Sequence[float]] = ()
 
     def fit(self, X: FloatArray, y: Any = None) -> StallLibrary:
         """List the terms for so many inputs."""

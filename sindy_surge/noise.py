@@ -130,10 +130,7 @@ class Whitener:
         """Whiten vectors over the equations, one a column; fewer rows if the noise is coloured."""
         from scipy.linalg.lapack import dtbtrs
 
-        white, info = dtbtrs(self._factor, columns, uplo="L")
-        if info != 0:
-            raise FloatingPointError("the covariance of the noise is singular")
-        white = white.reshape(columns.shape)
+        white = dtbtrs(self._factor, columns, uplo="L")[0].reshape(columns.shape)
         if self._colour.size == 0:
             return np.asarray(white)
         filtered = white.copy()

@@ -215,8 +215,8 @@ def select_on_free_run(
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = len(chosen)
     covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
-    covariance += _spread(equations, fit, chosen, found.rivals)
-    covariance += _shared(equations, fit, chosen, common_tau_share, common_curve_share)
+    common_shares = common_tau_share, common_curve_share
+    covariance += _beyond_cycles(equations, fit, chosen, found.rivals, common_shares)
     tau, stderr = float(fit.parameters[-1]), float(np.sqrt(covariance[-1, -1]))
     if tau < equations.sample_period_s / 2:
         state = FitState.LAG_BELOW_RESOLUTION
@@ -237,38 +237,31 @@ def select_on_free_run(
     )
 
 
-def _spread(
-    equations: FreeRunEquations, fit: FreeRunFit, chosen: Support, rivals: Sequence[Support]
-) -> FloatArray:
-    """Return what the choice among structures adds that the data cannot separate.
-
-    The mean square of what the curve and τ of each differ by; the curves as far as the terms
-    that were chosen can follow.
-    """
-    values = equations.columns[equations.scored]
-    curve = values[:, list(chosen)] @ fit.parameters[:-1]
-    result = np.zeros((fit.parameters.size, fit.parameters.size))
-    for rival in rivals:
-        other = equations.solve(rival).parameters
-        apart = least_squares(values[:, list(chosen)], values[:, list(rival)] @ other[:-1] - curve)
-        shift = np.append(apart, other[-1] - fit.parameters[-1])
-        result += np.outer(shift, shift) / len(rivals)
-    return result
-
-
-def _shared(
+def _beyond_cycles(
     equations: FreeRunEquations,
     fit: FreeRunFit,
     chosen: Support,
-    tau_share: float,
-    curve_share: float,
+    rivals: Sequence[Support],
+    common_shares: tuple[float, float],
 ) -> FloatArray:
-    """Return the covariance of errors that all cycles share: of τ, and of the curve's level."""
-    values = equations.columns[equations.scored][:, list(chosen)]
-    # The level moves along whatever the terms make of a constant.
-    level = least_squares(values, np.ones(len(values)))
-    level = level * curve_share * float(np.mean(np.abs(equations.output[equations.scored])))
+    """Return the covariance of what no jackknife over cycles sees.
+
+    The choice among structures that the data cannot separate adds the mean square of what the curve
+    and τ of each differ by, the curves as far as the terms that were chosen can follow; errors that
+    all cycles share add their shares of τ and of the curve's level.
+    """
+    values, tau = equations.columns[equations.scored], float(fit.parameters[-1])
+    own = values[:, list(chosen)]
+    curve = own @ fit.parameters[:-1]
     result = np.zeros((len(chosen) + 1, len(chosen) + 1))
-    result[:-1, :-1] = np.outer(level, level)
-    result[-1, -1] = (tau_share * float(fit.parameters[-1])) ** 2
+    for rival in rivals:
+        other = equations.solve(rival).parameters
+        apart = least_squares(own, values[:, list(rival)] @ other[:-1] - curve)
+        shift = np.append(apart, other[-1] - tau)
+        result += np.outer(shift, shift) / len(rivals)
+    # The level moves along whatever the terms make of a constant.
+    level = least_squares(own, np.ones(len(own))) * common_shares[1]
+    level = level * float(np.mean(np.abs(equations.output[equations.scored])))
+    result[:-1, :-1] += np.outer(level, level)
+    result[-1, -1] += (common_shares[0] * tau) ** 2
     return result

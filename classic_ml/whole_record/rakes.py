@@ -273,19 +273,13 @@ class RakeSignals:
             ramp = pair.slope * calculated + pair.offset * np.minimum(calculated / below, 1.0)
             moved = corrected_flow(np.copysign(ramp, mach), area_m2, machine)
             flows[pair.name] = np.where((mach != 0.0) & (calculated < below), moved, flow)
-        return self.measured_again(flows, self.total_Pa)
+        return replace(self, flow_kg_s=flows)
 
     def columns(self) -> dict[str, FloatArray]:
         """Return what a series file carries of them, a column each."""
         flows = {f"Wc{name}_kg_s": values for name, values in self.flow_kg_s.items()}
         totals = {f"Pt{name}_Pa": values for name, values in self.total_Pa.items()}
         return {**flows, **totals, INLET: self.inlet_K, COUNTS: self.counts.astype(np.float64)}
-
-    def measured_again(
-        self, flow_kg_s: Mapping[str, FloatArray], total_Pa: Mapping[str, FloatArray]
-    ) -> RakeSignals:
-        """Return the same record with other readings."""
-        return replace(self, flow_kg_s=flow_kg_s, total_Pa=total_Pa)
 
 
 def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
