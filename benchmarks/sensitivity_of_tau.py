@@ -20,15 +20,14 @@ import numpy as np
 import classic_ml.whole_record_fit as estimate
 from classic_ml.io.raw import read_raw
 from classic_ml.reduction import reduce_record
-from classic_ml.whole_record import branches, cells, passes, stall_state
+from classic_ml.whole_record import branches, passes, stall_state
 from classic_ml.whole_record.rakes import RakeSignals, rake_signals_of
 from comparisons.rig import simulate, write_run
 
 CONSTANTS: dict[ModuleType, str] = {
     branches: "AVERAGE_PERIODS LONGEST_AVERAGE_S START_S LOSS_AVERAGE_S HIGHER_HINGE",
-    cells: "LOWEST_HZ PIECE_S REACH_PERIODS RIDGE",
     passes: "BEFORE_OVERLOAD_S AFTER_OVERLOAD_S SHORTEST_PIECE_S END_S LONGEST_QUIET_S "
-    "QUIET_KEPT_S SHORTEST_STATE_S SPEED_AVERAGE_S",
+    "QUIET_KEPT_S SHORTEST_STATE_S SPEED_AVERAGE_S LOWEST_HZ PIECE_S REACH_PERIODS RIDGE",
     stall_state: "REARMED_SHARE LEVEL_AVERAGE_S SLOPE_AVERAGE_S LOWEST_RECOVERY LOWEST_ENTRY "
     "PEAK_S INDEPENDENT_S",
 }

@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from classic_ml.lag_data import LagData, Terms
+from classic_ml.lag_data import LagData, MovingAverage, Terms
 from classic_ml.likelihood import Profile, profile
-from classic_ml.noise_models import MovingAverage
 from surge_core.fit_state import FitState
 from surge_core.leave_out import (
     BLOCKS,

@@ -12,21 +12,32 @@ from sklearn.metrics import r2_score
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
-from classic_ml.characteristics import feature_names, polynomial_names, term_names
-from classic_ml.fitted_curve import factor, lag_sheet
-from classic_ml.lag_data import LagData, Terms, nearly_orthogonal
+from classic_ml.characteristics import (
+    factor,
+    feature_names,
+    lag_sheet,
+    polynomial_names,
+    term_names,
+)
+from classic_ml.lag_data import (
+    MAXIMUM_ORDER,
+    NOISE_KINDS,
+    LagData,
+    MovingAverage,
+    NoiseKind,
+    Terms,
+    nearly_orthogonal,
+)
 from classic_ml.lag_fit import LagFit, fit_lag
-from classic_ml.linearised import LinearisedFit, linearised
-from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
+from classic_ml.likelihood import LinearisedFit, linearised
 from surge_core.display import Field, FittedDisplay, Sheet
-from surge_core.errors import InputError
+from surge_core.errors import InputError, one_of, positive, whole_number
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.leave_out import scatter
 from surge_core.rounding import significant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
-from surge_core.validation import one_of, positive, whole_number
 
 # Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
 NO_RESPONSE = 1e-12

@@ -3,20 +3,114 @@
 Minimising Σ w e² over the one-step (arx, armax) or free-run (output-error) errors e is maximum
 likelihood for Gaussian e (Åström 1980, the paper's Reference 5). For a shape (log τ, ρ) the
 errors are target - columns β - drift - starts, so that all of these follow by linear least
-squares and a search runs over the shape alone (variable projection, Golub and Pereyra 1973).
+squares and a search runs over the shape alone (variable projection, Golub and Pereyra 1973). A fit
+is linearised there, and that says what it would be without one cycle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from classic_ml.lag_data import LagData
-from classic_ml.noise_models import MovingAverage
+from classic_ml.lag_data import LagData, MovingAverage, Terms
 from surge_core.lag import FirstOrderLag
+from surge_core.leave_out import leave_out
+from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
+
+# Fewer segments are cut, so that the others can say what is usual: with six, clean records raise
+# an alarm in 5 to 20 % of the cases instead of 1 to 3 %.
+FEWEST_CYCLES = 10
+PIECES = 12
+
+
+@dataclass(frozen=True)
+class LinearisedFit:
+    """The errors of a fit and their derivatives."""
+
+    errors: FloatArray  # (n,): Of the scored rows, times the root of their weights
+    # (n, p): ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, drift, C)
+    jacobian: FloatArray
+    back: FloatArray  # (q, r): What turns those coefficients into β
+    rows: IntArray  # (n,): Row of the data that each error belongs to
+    pieces: tuple[slice, ...]  # Stretches of errors that follow each other without a gap
+    segment: IntArray  # (n,): Number of the segment, from 0, of each error
+
+
+def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray) -> LinearisedFit:
+    """Linearise about given parameters; starts and drift are the best for these."""
+    at = profile(data, shape, beta)
+    both, n_shape = at.jacobian, at.n_shape
+    # ∂e/∂τ from ∂e/∂log τ; a held τ does not move.
+    fitted = int(data.held_log_tau is None)
+    tau = both[:, :1] / np.exp(shape[0]) if fitted else np.zeros((both.shape[0], 1))
+    keep = data.scored
+    rows = data.rows_of_errors[keep]
+    lengths = [run.stop - run.start for run in data.runs]
+    segment = np.repeat(np.arange(len(lengths)), lengths)[rows]
+    # Rows that follow each other within a segment have one such label.
+    pieces = runs_of(rows - np.arange(rows.size) + 2 * segment * data.y.size, rows.size)
+    return LinearisedFit(
+        at.errors[keep],
+        np.column_stack([tau, both[:, n_shape:], both[:, fitted:n_shape]])[keep],
+        terms.back,
+        rows,
+        tuple(pieces),
+        segment,
+    )
+
+
+@dataclass(frozen=True)
+class CycleShifts:
+    """How far each parameter of a linearised fit moves without each cycle.
+
+    ``shift`` of shape (n_cycles, p) is θ without the cycle minus θ, ``spread`` its covariance for
+    white errors of unit variance, (J'J - A_g)⁻¹ - (J'J)⁻¹; ``edges`` are the first and the last row
+    of each cycle.
+    """
+
+    shift: FloatArray
+    spread: FloatArray
+    edges: IntArray
+
+    def studentised(self, contrasts: FloatArray) -> FloatArray:
+        """Return each shift over what shifts of the other cycles make usual.
+
+        ``contrasts`` of shape (k, p) are linear functions of θ, e.g. τ alone or the curve at one φ.
+        The result, of shape (n_cycles, k), is Student's t with ``n_cycles - 2`` degrees of freedom
+        where all cycles are alike. The shift is scaled by what the cycle's share of the information
+        predicts, so that a long cycle may move more than a short one; the common scale is that of
+        the other cycles (externally studentised), so that coloured errors do not count against one.
+        """
+        moved = self.shift @ contrasts.T
+        variance = np.einsum("ki,gij,kj->gk", contrasts, self.spread, contrasts)
+        scaled = moved / np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
+        n = len(scaled)
+        power = np.sum(scaled**2, axis=0)
+        # One direction of the shifts is spent on the estimate itself: they add up to nothing.
+        share = scaled**2 * n / (n - 1.0) / np.maximum(power, np.finfo(np.float64).tiny)
+        left = np.maximum(1.0 - share, 1e-12)
+        return np.asarray(np.sign(scaled) * np.sqrt(share * (n - 2.0) / left))
+
+
+def cycle_shifts(fit: LinearisedFit) -> CycleShifts:
+    """Leave out one cycle at a time: a segment each, but fewer than ten are cut into a dozen."""
+    cycles = runs_of(fit.segment, fit.segment.size)
+    if len(cycles) < FEWEST_CYCLES:
+        parts = [max(1, round(PIECES * (c.stop - c.start) / fit.errors.size)) for c in cycles]
+        cuts = [
+            np.linspace(cycle.start, cycle.stop, n + 1).astype(int)
+            for cycle, n in zip(cycles, parts, strict=True)
+        ]
+        cycles = [slice(*ends) for edges in cuts for ends in pairwise(edges) if ends[1] > ends[0]]
+    rest = leave_out(fit.jacobian, fit.errors, cycles)
+    nothing = leave_out(fit.jacobian, fit.errors, [slice(0, 0)])
+    edges = fit.rows[[[cycle.start, cycle.stop - 1] for cycle in cycles]]
+    return CycleShifts(rest.moves, rest.inverse - nothing.inverse, edges)
+
 
 # Below this a start adds less than a rounding error.
 FORGOTTEN = 1e-17
@@ -73,8 +167,7 @@ class Profile:
             _slopes_of_free_run(self, slopes)
         else:
             _slopes_of_equations(self, slopes)
-        if self.data.root is not None:
-            slopes *= self.data.root[:, None]
+        slopes *= self.data.root[:, None]
         _project(self.starts, slopes)
         both[:, self.n_shape :] = -self.columns
         return both
@@ -179,8 +272,7 @@ def _columns_and_target(data: LagData, lag: FirstOrderLag, whitener: MovingAvera
         own[:, -1] = data.y[rows] - lag.a * data.y[before]
         both[data.ahead_places] = 0.0
         both = _whitened(data, whitener, both)
-    if data.root is not None:
-        both *= data.root[:, None]
+    both *= data.root[:, None]
     return both
 
 
@@ -214,9 +306,7 @@ def _starts(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> tuple
     for piece in data.pieces:
         stop = min(piece.errors.stop, piece.errors.start + column.shape[0])
         where = slice(piece.errors.start, stop)
-        own = column[: stop - piece.errors.start]
-        if data.root is not None:
-            own = own * data.root[where, None]
+        own = column[: stop - piece.errors.start] * data.root[where, None]
         size = float(np.sqrt(own[:, 0] @ own[:, 0]))
         one = own.shape[1] == 1
         basis = own / (size or 1.0) if one else np.linalg.qr(own)[0]
@@ -259,7 +349,7 @@ def _slopes_of_equations(at: Profile, slopes: FloatArray) -> None:
 def _late_errors(at: Profile) -> FloatArray:
     """Return e[k-1] and e[k-2] beside each equation, of shape (m, order)."""
     data = at.data
-    errors = at.errors if data.root is None else at.errors / data.root
+    errors = at.errors / data.root
     late = np.zeros((errors.size, data.order))
     for back in range(1, data.order + 1):
         late[back:, back - 1] = errors[:-back]

@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike
 from sklearn.base import clone
 
 from classic_ml.checks import whiteness
+from classic_ml.lag_data import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
 from classic_ml.lag_regressor import LagRegressor
-from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
-from surge_core.errors import InputError
+from surge_core.errors import InputError, whole_number
 from surge_core.fit_state import FitState
 from surge_core.paired import block_errors, block_rms, paired_difference
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
-from surge_core.validation import whole_number
 
 # As many rows train as in a comparison, and the later ones test.
 TRAIN_SHARE = 2.0 / 3.0

@@ -66,11 +66,11 @@ class RecordReading:
 
         It is on the rows of ``passes``, without what is not to be in the twin.
         """
-        return self.with_psi_p(psi_p).twin_under()
+        other = self.with_psi_p(psi_p)
+        return other.twin_under(other.fit())
 
-    def twin_under(self, fit: BranchFit | None = None) -> Twin:
-        """Return the twin of the record under a fitted model, its own if none is given."""
-        fit = self.fit() if fit is None else fit
+    def twin_under(self, fit: BranchFit) -> Twin:
+        """Return the twin of the record under a fitted model."""
         return twin_of(self.signals, self.passes, self.spec, self.in_stall, fit)
 
     def again(

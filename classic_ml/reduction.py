@@ -22,8 +22,7 @@ from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels
-from classic_ml.free_run import extend_while_settled, free_run_rows
-from classic_ml.planes import local_flows, plane_averages
+from classic_ml.flow import local_flows, plane_averages
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
@@ -31,6 +30,8 @@ from classic_ml.segments import (
     cell_frequency_hz,
     cell_period_s,
     estimated_threshold_lbm_s,
+    extend_while_settled,
+    free_run_rows,
     hub_tip_stall,
     segment,
     shows_stall,
@@ -38,7 +39,7 @@ from classic_ml.segments import (
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
 from classic_ml.whole_record.rakes import RakeSignals, rake_signals
-from classic_ml.work.forms import with_work
+from classic_ml.work.balance import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray

@@ -7,15 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.work.forms import WORK_FORMS
-from surge_core.errors import InputError
-from surge_core.validation import one_of, positive
+from classic_ml.work.balance import WORK_FORMS
+from surge_core.errors import InputError, one_of, positive
 
-_CHOICES = {
-    "filter_order": (3, 5),
-    "phase": ("zero", "causal", "none"),
-    "work_form": WORK_FORMS,
-}
+_CHOICES = {"filter_order": (3, 5), "phase": ("zero", "causal", "none"), "work_form": WORK_FORMS}
 # What must be above zero, or one of these.
 _POSITIVE: dict[str, tuple[object, ...]] = {
     "cutoff_hz": (),

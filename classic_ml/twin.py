@@ -17,9 +17,8 @@ from classic_ml.coefficients import rate_of_change
 from classic_ml.filters import low_pass
 from classic_ml.flow import mach_from_corrected_flow, pair_flow, physical_flow
 from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
-from classic_ml.whole_record.chain import Chain, PairChain
 from classic_ml.whole_record.passes import Passes
-from classic_ml.whole_record.rakes import Planes, RakeSignals
+from classic_ml.whole_record.rakes import Chain, PairChain, Planes, RakeSignals
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # What a twin takes for the truth holds the cells with a harmonic, and hardly any of the noise.
@@ -65,7 +64,7 @@ class Twin:
                 total[pair.name] = np.maximum(forward, aft)
                 law = pair.slope, pair.offset, chain.areas_m2[pair.plane]
                 flow[pair.name] = pair_flow(forward, aft, *law, chain.compressor)
-        return self.signals.measured_again(flow, total)
+        return replace(self.signals, flow_kg_s=flow, total_Pa=total)
 
     def _read(
         self, pressure_Pa: FloatArray, noise_Pa: float, rng: np.random.Generator
@@ -77,11 +76,7 @@ class Twin:
 
 
 def twin_of(
-    signals: RakeSignals,
-    passes: Passes,
-    spec: Specification,
-    in_stall: BoolArray,
-    fit: BranchFit,
+    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
 ) -> Twin:
     """Return the twin of a record under a fitted model.
 
@@ -109,8 +104,21 @@ def twin_of(
     clean = passes.planes
     planes = Planes(smooth(clean.corrected_kg_s), smooth(clean.inlet_Pa), smooth(clean.exit_Pa))
     inlet_K = smooth(signals.inlet_K, INLET_K_HZ)
-    exit_Pa = _exit_by_model(signals, passes, spec, in_stall, fit, planes, inlet_K)
-    shift = exit_Pa - planes.exit_Pa
+    row, machine, speed = passes.row, signals.chain.compressor, signals.chain.rotor_velocity_m_s
+    inputs, _ = design(passes, replace(spec, average_s=signals.sample_period_s), in_stall)
+    psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
+    # Rows that were simulated through hold terms that no scored row has.
+    psi_p = np.clip(psi_p, passes.psi_p.min(), passes.psi_p.max())
+    rate = rate_of_change(
+        physical_flow(planes.corrected_kg_s, planes.inlet_Pa, inlet_K), signals.sample_period_s
+    )
+    # Eq 5 for the pressure behind the blading.
+    rise = 1.0 + psi_p * speed**2 / (2.0 * machine.specific_heat_J_kg_K * inlet_K[row])
+    ratio = np.maximum(rise, 0.2) ** (machine.gamma / (machine.gamma - 1.0))
+    by_model = planes.inlet_Pa[row] * ratio - machine.inertia_per_m * rate[row]
+    # P31 is what the model's ψ' makes in forward flow, elsewhere what was measured.
+    shift = np.zeros_like(planes.exit_Pa)
+    shift[row] = np.where(passes.phi > spec.lowest_phi, by_model - planes.exit_Pa[row], 0.0)
     total |= {name: values + shift for name, values in total.items() if name.startswith("31")}
     low = passes.row[fit.scored & in_stall]
     return Twin(signals, flow, total, _offset_Pa(signals.chain, flow, total, low))
@@ -145,35 +153,6 @@ def _offset_Pa(
             apart.append(float(mean - np.mean(means)) / slope)
         degrees += len(alike) - 1
     return math.sqrt(float(np.sum(np.square(apart))) / degrees) if degrees else 0.0
-
-
-def _exit_by_model(
-    signals: RakeSignals,
-    passes: Passes,
-    spec: Specification,
-    in_stall: BoolArray,
-    fit: BranchFit,
-    planes: Planes,
-    inlet_K: FloatArray,
-) -> FloatArray:
-    """Return P31 that the model's ψ' makes in forward flow; elsewhere what was measured."""
-    row = passes.row
-    machine, speed = signals.chain.compressor, signals.chain.rotor_velocity_m_s
-    inputs, _ = design(passes, replace(spec, average_s=signals.sample_period_s), in_stall)
-    psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
-    # Rows that were simulated through hold terms that no scored row has.
-    psi_p = np.clip(psi_p, passes.psi_p.min(), passes.psi_p.max())
-    rate = rate_of_change(
-        physical_flow(planes.corrected_kg_s, planes.inlet_Pa, inlet_K), signals.sample_period_s
-    )
-    # Eq 5 for the pressure behind the blading.
-    rise = 1.0 + psi_p * speed**2 / (2.0 * machine.specific_heat_J_kg_K * inlet_K[row])
-    ratio = np.maximum(rise, 0.2) ** (machine.gamma / (machine.gamma - 1.0))
-    by_model = planes.inlet_Pa[row] * ratio - machine.inertia_per_m * rate[row]
-    forward = passes.phi > spec.lowest_phi
-    exit_Pa = planes.exit_Pa.copy()
-    exit_Pa[row] = np.where(forward, by_model, exit_Pa[row])
-    return exit_Pa
 
 
 def _pressures(

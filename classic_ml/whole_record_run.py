@@ -22,10 +22,11 @@ from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
     N_TWINS,
+    RAMP_MACH,
+    Scatter,
     WholeRecordFit,
     fit_whole_record,
 )
-from classic_ml.whole_record_interval import RAMP_MACH, Scatter
 from classic_ml.whole_run import FARTHEST, WholeRunFit, check_rates, fit_whole_runs, output_error
 from classic_ml.whole_run_rows import WholeRunRows, has_whole_run, stacked_rows
 from surge_core.display import Field
@@ -219,11 +220,6 @@ class _Answer:
     coefficients: FloatArray
     covariance: FloatArray
 
-    def widened(self, planes: Scatter) -> _Answer:
-        """Return the answer with what the time from plane to plane may do."""
-        share = math.hypot(self.share, planes.log_tau)
-        return replace(self, share=share, covariance=self.covariance + planes.curve)
-
     def with_second(
         self, second: WholeRunFit, fits: tuple[WholeRecordFit, ...], planes: Scatter
     ) -> _Answer | Reading:
@@ -261,6 +257,7 @@ def _combined(
     fits: tuple[WholeRecordFit, ...],
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
+    """Return one answer from the fits of all records and, if there is one, another reading."""
     log_tau, share = _mean_of([(math.log(fit.tau_s), fit.own_share) for fit in fits])
     # One law of the probes holds for all records: what is not known of it does not average out.
     share = math.hypot(share, max(abs(fit.probe_law) for fit in fits))
@@ -276,35 +273,24 @@ def _combined(
         else:
             answer = found
     # Both readings, and records of one rig, share what the planes do: nothing of it averages out.
-    answer = answer.widened(planes)
-    if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
+    share, tau_s = math.hypot(answer.share, planes.log_tau), math.exp(answer.log_tau)
+    if not state.withholds and math.isfinite(share) and not share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
-    return _result(records, fits, answer, state, other)
-
-
-def _result(
-    records: Sequence[CoefficientSeries],
-    fits: tuple[WholeRecordFit, ...],
-    answer: _Answer,
-    state: FitState,
-    second: Reading | None,
-) -> WholeRecordRun:
-    tau_s, share = math.exp(answer.log_tau), answer.share
     degree = fits[0].reading.spec.degree
     rows = _rows(records, fits, degree)
     model = output_error(records[0].sample_period_s, "first", tau_s)
     stacked_rows(rows).fitted(model)
     reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
     low_s, high_s = tau_s / reach, tau_s * reach
-    if second is not None:
-        low_s, high_s = min(low_s, second.ci95_s[0]), max(high_s, second.ci95_s[1])
+    if other is not None:
+        low_s, high_s = min(low_s, other.ci95_s[0]), max(high_s, other.ci95_s[1])
         share = math.log(high_s / low_s) / (2.0 * QUANTILE)
     run = WholeRecordRun(
         tau_s,
         tau_s * share,
         polynomial_names("phi", degree),
         answer.coefficients,
-        answer.covariance,
+        answer.covariance + planes.curve,
         degree,
         sum(fit.cycles.n for fit in fits),
         state,
@@ -312,7 +298,7 @@ def _result(
         rows,
         fits,
         (low_s, high_s),
-        second,
+        other,
     )
     nothing = math.nan, math.nan
     return replace(run.withheld(state), ci95_s_=nothing) if state.withholds else run

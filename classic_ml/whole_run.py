@@ -17,12 +17,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.characteristics import polynomial_names
+from classic_ml.characteristics import lag_sheet, polynomial_names
 from classic_ml.checks import CheckRow, coverage, input_correlation, leverage
-from classic_ml.fitted_curve import lag_sheet
-from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.records import counted
+from classic_ml.segments import near
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     StackedRuns,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sindy_surge.state_terms import PhysicalForm
+from sindy_surge.candidate_terms import PhysicalForm
 from surge_core.errors import InputError
 from surge_core.rounding import bracketed
 from surge_core.terms import pretty_term

@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import Constraints, constraints_of
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
-from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
     StructureFit,
     WhiteEquations,
     information,
     refitted,
+    sandwich,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
@@ -25,9 +26,13 @@ from sindy_surge.linear_problem import Support
 from sindy_surge.noise import autoregression
 from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
-from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.state_terms import PhysicalForm
-from sindy_surge.uncertainty import sandwich
+from sindy_surge.selection import (
+    PathRow,
+    Selection,
+    inclusion_probabilities,
+    information_penalty,
+    select_structure,
+)
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
@@ -322,17 +327,17 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     # A dead time is tested against noise, of which there is next to none: an error of the model
     # passed for it.
     problem = search.prepared.problem.with_dead_time(0.0, False)
-    fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.constraints)
-    if fit is None:
+    found = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.constraints)
+    if found is None:
         return None
-    beta, tau = fit.parameters[:-1], float(fit.parameters[-1])
+    support, parameters, covariance, trials = found
     return Identified(
         problem,
-        problem.model(fit.support, beta, tau, problem.dead_time_s),
+        problem.model(support, parameters[:-1], float(parameters[-1]), problem.dead_time_s),
         0.0,
-        fit.covariance,
+        covariance,
         FitState.MODEL_ERROR_DOMINATES,
-        with_held_out(search.found.path, fit.trials, fit.support, problem.every_name),
+        with_held_out(search.found.path, trials, support, problem.every_name),
         (),
         {},
         (),

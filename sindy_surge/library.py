@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import comb
 from typing import Any
 
@@ -24,6 +25,7 @@ _MOST_REACH = 0.05
 _FEWEST_TERMS = 15
 
 
+@dataclass
 class StallLibrary:
     """pysindy's polynomials, and terms of a compressor characteristic for each input on its own.
 
@@ -36,15 +38,9 @@ class StallLibrary:
     for each input, and without them there are polynomials alone.
     """
 
-    def __init__(
-        self,
-        degree: int,
-        knots: Sequence[Sequence[float]] = (),
-        scales: Sequence[Sequence[float]] = (),
-    ) -> None:
-        self.degree = degree
-        self.knots = knots
-        self.scales = scales
+    degree: int
+    knots: Sequence[Sequence[float]] = ()
+    scales: Sequence[Sequence[float]] = ()
 
     def fit(self, X: FloatArray, y: Any = None) -> StallLibrary:
         """List the terms for so many inputs."""
@@ -73,26 +69,13 @@ class StallLibrary:
             if position < n_powers:
                 continue
             j, kind, value = self._special[position - n_powers]
-            if kind == "hinge":
-                columns[:, number] = np.maximum(x[:, j] - value, 0.0)
-            elif kind == "reverse":
-                columns[:, number] = np.square(np.minimum(x[:, j], 0.0))
-            else:
-                columns[:, number] = np.exp(-x[:, j] / value)
+            columns[:, number] = _SPECIAL[kind][0](x[:, j], value)
         return columns
 
     def get_feature_names(self, input_features: Sequence[str]) -> list[str]:
         """Return the names, e.g. ``phi^2`` or ``relu(phi-0.05)``."""
         names: list[str] = self._polynomials.get_feature_names(list(input_features))
-        for j, kind, value in self._special:
-            name = input_features[j]
-            written = {
-                "hinge": hinge_name(name, value),
-                "reverse": f"{name}^2[{name}<0]",
-                "fall": f"exp(-{name}/{value:.12g})",
-            }
-            names.append(written[kind])
-        return names
+        return names + [_SPECIAL[kind][1](input_features[j], v) for j, kind, v in self._special]
 
 
 def monomials(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
@@ -124,6 +107,14 @@ def hinge_name(name: str, knot: float) -> str:
     if knot == 0:
         return f"relu({name})"
     return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"
+
+
+# What a term of one input and one number is, and its name.
+_SPECIAL: dict[str, tuple[Callable[[FloatArray, float], FloatArray], Callable[..., str]]] = {
+    "hinge": (lambda x, knot: np.maximum(x - knot, 0.0), hinge_name),
+    "reverse": (lambda x, _: np.square(np.minimum(x, 0.0)), lambda name, _: f"{name}^2[{name}<0]"),
+    "fall": (lambda x, s: np.exp(-x / s), lambda name, s: f"exp(-{name}/{s:.12g})"),
+}
 
 
 def default_knots(phi: FloatArray, noise: float = 0.0) -> tuple[float, ...]:

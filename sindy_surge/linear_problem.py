@@ -71,10 +71,7 @@ class LinearProblem:
 
 
 def without_nuisances(
-    nuisances: FloatArray,
-    columns: FloatArray,
-    target: FloatArray,
-    n_equations: int | None = None,
+    nuisances: FloatArray, columns: FloatArray, target: FloatArray, n_equations: int | None = None
 ) -> LinearProblem:
     """Project out columns that are in every structure, and compress by QR.
 

@@ -6,26 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sindy_surge.features import features
 from sindy_surge.free_run import simulate
-from sindy_surge.lag_equations import equations_about, start_point
+from sindy_surge.lag_equations import equations_about, features, start_point
 from sindy_surge.lag_fit import (
     StructureFit,
     fit_structure,
     plain_free_run,
     refitted,
+    sandwich,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import (
-    LinearProblem,
-    least_squares,
-    unit_norms,
-    without_nuisances,
-)
+from sindy_surge.linear_problem import LinearProblem, least_squares, unit_norms, without_nuisances
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.search import beam_search
-from sindy_surge.uncertainty import sandwich
 from surge_core.types import FloatArray
 
 # A dead time is believed beyond this many standard errors of the fit of all terms.

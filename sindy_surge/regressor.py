@@ -20,14 +20,12 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
-from sindy_surge.summary import ModelSummary
-from sindy_surge.text import EquationParts, pysindy_equations, write_equation
+from sindy_surge.text import EquationParts, ModelSummary, pysindy_equations, write_equation
 from surge_core.display import FittedDisplay, Sheet
-from surge_core.errors import InputError
+from surge_core.errors import InputError, one_of, positive, whole_number
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
-from surge_core.validation import one_of, positive, whole_number
 
 # Equations that a lag with its simplest characteristic (1, φ) needs beside its own unknowns.
 _SPARE_EQUATIONS = 8
@@ -237,11 +235,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return () if alike else binding_constraints(free.form(), wishes)
 
     def _fit_static(
-        self,
-        values: FloatArray,
-        y: FloatArray,
-        state: FitState,
-        columns: NDArray[np.intp],
+        self, values: FloatArray, y: FloatArray, state: FitState, columns: NDArray[np.intp]
     ) -> None:
         """Fit ψ' = ψ'_QS(φ) with coefficients of least norm, each on its unit-size term."""
         norms = unit_norms(values)

@@ -129,11 +129,7 @@ class Search(Generic[Fit]):
 
 
 def best_of_equation(
-    linear: LinearProblem,
-    equation: Support,
-    kept: Support,
-    price: float,
-    most: int | None = None,
+    linear: LinearProblem, equation: Support, kept: Support, price: float, most: int | None = None
 ) -> list[tuple[float, Support]]:
     """Return the scores of the best supports of each size of one equation, beside terms kept.
 

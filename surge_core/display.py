@@ -174,20 +174,16 @@ class FittedDisplay:
 
 def _html_grid(grid: Grid) -> str:
     kinds = ["" if column in grid.words else ' class="n"' for column in range(len(grid.header))]
-    head = "".join(
-        f'<th scope="col"{kind}>{escape(cell)}</th>'
-        for kind, cell in zip(kinds, grid.header, strict=True)
-    )
-    body = []
+
+    def cells(row: tuple[str, ...], tags: list[str]) -> str:
+        each = zip(tags, kinds, row, strict=True)
+        return "".join(f"<{tag}{kind}>{escape(cell)}</{tag[:2]}>" for tag, kind, cell in each)
+
+    head = cells(grid.header, ['th scope="col"'] * len(kinds))
+    body, tags = [], ['th scope="row"', *["td"] * (len(kinds) - 1)]
     for number, row in enumerate(grid.rows):
-        cells = "".join(
-            f'<th scope="row"{kind}>{escape(cell)}</th>'
-            if column == 0
-            else f"<td{kind}>{escape(cell)}</td>"
-            for column, (kind, cell) in enumerate(zip(kinds, row, strict=True))
-        )
         chosen = ' class="chosen"' if number == grid.marked else ""
-        body.append(f"<tr{chosen}>{cells}</tr>")
+        body.append(f"<tr{chosen}>{cells(row, tags)}</tr>")
     caption = "" if grid.folded else f"<caption>{escape(grid.title)}</caption>"
     text = f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     if not grid.folded:

@@ -1,8 +1,30 @@
-"""Errors that name what was found wrong and how to mend it."""
+"""Errors that name what was found wrong and how to correct it, and checks of parameters."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
+from numbers import Integral, Real
+
+
+def one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
+    """Refuse a value that is not one of those allowed."""
+    if value not in allowed:
+        raise InputError(
+            name, expected="one of " + ", ".join(repr(a) for a in allowed), found=repr(value)
+        )
+
+
+def positive(name: str, value: object) -> None:
+    """Refuse a value that is not a positive, finite number."""
+    if not isinstance(value, Real) or not math.isfinite(value) or value <= 0:
+        raise InputError(name, expected="a positive number", found=repr(value))
+
+
+def whole_number(name: str, value: object, low: int, high: int) -> None:
+    """Refuse a value that is not a whole number in [low, high]."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or not low <= int(value) <= high:
+        raise InputError(name, expected=f"a whole number from {low} to {high}", found=repr(value))
 
 
 class InputError(ValueError):
@@ -17,7 +39,7 @@ class InputError(ValueError):
     found : str
         What was found instead.
     remedy : str
-        How to mend it; may be empty.
+        How to correct it; may be empty.
     """
 
     def __init__(self, where: str, *, expected: str, found: str, remedy: str = "") -> None:

@@ -38,9 +38,7 @@ class Rest:
 
 
 def leave_out(
-    jacobian: FloatArray,
-    errors: FloatArray,
-    blocks: Sequence[slice | IndexArray],
+    jacobian: FloatArray, errors: FloatArray, blocks: Sequence[slice | IndexArray]
 ) -> Rest:
     """Refit without each block of rows, linearised about the whole fit by ∂e/∂θ and the errors e.
 

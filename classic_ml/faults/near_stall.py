@@ -14,8 +14,7 @@ from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels
-from classic_ml.flow import physical_flow
-from classic_ml.planes import local_flows, plane_averages
+from classic_ml.flow import local_flows, physical_flow, plane_averages
 from classic_ml.records import LedgerEntry, Record
 from surge_core.errors import InputError
 

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from classic_ml.inspect.draft import draft_test_toml
-from classic_ml.inspect.facts import ChannelFacts, ClockFacts, Inspection, inspect_file
-from classic_ml.inspect.match import ChannelMatch, TestMatch, match_test
+from classic_ml.inspect.facts import (
+    ChannelFacts,
+    ChannelMatch,
+    ClockFacts,
+    Inspection,
+    TestMatch,
+    inspect_file,
+    match_test,
+)
 
 __all__ = [
     "ChannelFacts",

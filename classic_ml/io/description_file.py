@@ -224,10 +224,7 @@ def _with_defaults(values: Mapping[str, Any], planes: Collection[str]) -> dict[s
 
 
 def _wrong_defaults(
-    defaults: Mapping[str, Any],
-    channels: Mapping[str, Any],
-    planes: Collection[str],
-    source: str,
+    defaults: Mapping[str, Any], channels: Mapping[str, Any], planes: Collection[str], source: str
 ) -> Iterator[InputError]:
     """Find defaults for no channel, and keys that none has: a misspelt one would be ignored."""
     known = {name for model in _MODELS.values() for name in model.model_fields} - {"name"}

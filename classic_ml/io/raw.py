@@ -8,13 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
 from classic_ml.io.table import StoredTable
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.series import MINIMUM_ROWS
+from classic_ml.series import CLOCK_TOLERANCE, MINIMUM_ROWS, uniform_period_s
 from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.free_run import near
+from classic_ml.segments import near
 from classic_ml.whole_record.passes import Passes
 from classic_ml.whole_record.rakes import RakeSignals
 from surge_core.lag import FirstOrderLag

@@ -1,4 +1,7 @@
-"""Flow and total pressure of every probe pair, unfiltered, and the planes that they add up to."""
+"""Flow and total pressure of every probe pair, unfiltered, and the planes that they add up to.
+
+With what lies between the air and the readings of each pair, as it travels with a series.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,118 @@ import numpy as np
 
 from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
-from classic_ml.description import TestDescription
-from classic_ml.flow import corrected_flow, mach_from_corrected_flow, physical_flow
-from classic_ml.records import Record
+from classic_ml.description import Compressor, TestDescription
+from classic_ml.flow import (
+    T_STANDARD_K,
+    choked_flow,
+    corrected_flow,
+    mach_from_corrected_flow,
+    physical_flow,
+)
+from classic_ml.records import LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
+
+STEP = "rakes"
+# Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
+LARGEST_SHARE = 0.98
+_MACHINE = "compressor."
+# What the ledger carries of a pair, in the order of its fields.
+_OF_PAIR = ("slope", "offset", "noise_Pa", "noise_aft_Pa")
+_Parameters = Mapping[str, str | int | float | bool]
+
+
+@dataclass(frozen=True)
+class PairChain:
+    """A forward and an aft probe."""
+
+    name: str  # Plane, rake and immersion, e.g. ``"25_A_tip"``
+    slope: float  # a and b of Eq 2
+    offset: float
+    noise_Pa: float  # Standard deviation of the white noise of the two channels
+    noise_aft_Pa: float
+
+    @property
+    def plane(self) -> int:
+        """25 or 31."""
+        return int(self.name.partition("_")[0])
+
+    @property
+    def rake(self) -> str:
+        """Such as ``"A"``."""
+        return self.name.split("_")[1]
+
+    @property
+    def immersion(self) -> str:
+        """``"hub"``, ``"tip"``, or the name of one between."""
+        return self.name.rpartition("_")[2]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The probe pairs of a record that count, and the constants of Eq 1 to 8."""
+
+    pairs: tuple[PairChain, ...]
+    areas_m2: Mapping[int, float]  # Flow area of each plane
+    compressor: Compressor
+    rotor_speed_rpm: float  # Physical speed, and 100 % corrected speed
+    design_corrected_speed_rpm: float
+    near_stall_rows: int  # Rows of the reading to which the channels were matched
+
+    @property
+    def rotor_velocity_m_s(self) -> float:
+        """Mean rotor velocity U = 2π N r."""
+        return 2.0 * np.pi * self.rotor_speed_rpm / 60.0 * self.compressor.mean_radius_m
+
+    def of_plane(self, plane: int) -> tuple[PairChain, ...]:
+        """Return the pairs of a plane."""
+        return tuple(pair for pair in self.pairs if pair.plane == plane)
+
+    def largest_flow_kg_s(self, plane: int) -> float:
+        """Return the corrected flow beyond which a pair of a plane is overloaded."""
+        return LARGEST_SHARE * choked_flow(self.areas_m2[plane], self.compressor)
+
+    def corrected_speed(self, inlet_K: FloatArray) -> FloatArray:
+        """Return N_c = N/√θ as a fraction of the design corrected speed."""
+        corrected = self.rotor_speed_rpm / np.sqrt(inlet_K / T_STANDARD_K)
+        return np.asarray(corrected / self.design_corrected_speed_rpm)
+
+    def entry(self) -> LedgerEntry:
+        """Return the step of the ledger that carries the chain."""
+        parameters: dict[str, str | int | float | bool] = {
+            "near_stall_rows": self.near_stall_rows,
+            "rotor_speed_rpm": self.rotor_speed_rpm,
+            "design_corrected_speed_rpm": self.design_corrected_speed_rpm,
+        }
+        parameters |= {f"area_{plane}_m2": area for plane, area in self.areas_m2.items()}
+        parameters |= {f"{_MACHINE}{k}": v for k, v in self.compressor.model_dump().items()}
+        for pair in self.pairs:
+            parameters |= {f"{pair.name}.{what}": getattr(pair, what) for what in _OF_PAIR}
+        did = (
+            f"unfiltered flow and total pressure of {len(self.pairs)} probe pairs kept, with what "
+            "lies between the air and their readings: the time constant is estimated from these"
+        )
+        return LedgerEntry(STEP, did, parameters)
+
+    @classmethod
+    def from_parameters(cls, given: _Parameters) -> Chain:
+        """Read the chain back from the parameters of its step."""
+        names = [name.removesuffix(".slope") for name in given if name.endswith(".slope")]
+        pairs = tuple(
+            PairChain(name, *(float(given[f"{name}.{what}"]) for what in _OF_PAIR))
+            for name in names
+        )
+        machine = {k.removeprefix(_MACHINE): v for k, v in given.items() if k.startswith(_MACHINE)}
+        areas = {int(k[5:-3]): float(v) for k, v in given.items() if k.startswith("area_")}
+        return cls(
+            pairs,
+            areas,
+            Compressor.model_validate(machine),
+            float(given["rotor_speed_rpm"]),
+            float(given["design_corrected_speed_rpm"]),
+            int(given["near_stall_rows"]),
+        )
+
 
 # The fourth difference passes white noise with the square of its coefficients and hardly any of
 # what is slower than a tenth of the sample rate.
@@ -164,19 +273,13 @@ class RakeSignals:
             ramp = pair.slope * calculated + pair.offset * np.minimum(calculated / below, 1.0)
             moved = corrected_flow(np.copysign(ramp, mach), area_m2, machine)
             flows[pair.name] = np.where((mach != 0.0) & (calculated < below), moved, flow)
-        return self.measured_again(flows, self.total_Pa)
+        return replace(self, flow_kg_s=flows)
 
     def columns(self) -> dict[str, FloatArray]:
         """Return what a series file carries of them, a column each."""
         flows = {f"Wc{name}_kg_s": values for name, values in self.flow_kg_s.items()}
         totals = {f"Pt{name}_Pa": values for name, values in self.total_Pa.items()}
         return {**flows, **totals, INLET: self.inlet_K, COUNTS: self.counts.astype(np.float64)}
-
-    def measured_again(
-        self, flow_kg_s: Mapping[str, FloatArray], total_Pa: Mapping[str, FloatArray]
-    ) -> RakeSignals:
-        """Return the same record with other readings."""
-        return replace(self, flow_kg_s=flow_kg_s, total_Pa=total_Pa)
 
 
 def rake_signals(record: Record, test: TestDescription) -> RakeSignals:

@@ -7,7 +7,9 @@ of the hub-minus-tip flow, each by its likelihood.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -85,10 +87,11 @@ def estimated_state(
     entry = np.linspace(LOWEST_ENTRY, max(0.98 * peak, 1.5 * LOWEST_RECOVERY), GRID)
     tried = [StallLevels(float(a), float(b)) for a, b in product(recovery, entry)]
     taus_s = NONE if by_flow and passes.shift is not None else TAUS_S
-    best = min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
+    misfit = partial(_misfit, passes, spec, taus_s)
+    best = min(tried, key=misfit)
     steps = recovery[1] - recovery[0], entry[1] - entry[0]
     for halving in range(1, HALVINGS + 1):
-        best = _around(passes, spec, best, steps[0] / 2**halving, steps[1] / 2**halving, taus_s)
+        best = _around(best, misfit, steps[0] / 2**halving, steps[1] / 2**halving)
     return state_by_levels(passes, best), best
 
 
@@ -108,25 +111,20 @@ def refined_state(
         return passes.in_stall
     taus_s = near_s * NEARBY if np.isfinite(near_s) else TAUS_S
     taus_s = NONE if by_flow and passes.shift is not None else taus_s
-    return state_by_levels(passes, _around(passes, spec, levels, 0.015, 0.03, taus_s))
+    misfit = partial(_misfit, passes, spec, taus_s)
+    return state_by_levels(passes, _around(levels, misfit, 0.015, 0.03))
 
 
 def _around(
-    passes: Passes,
-    spec: Specification,
-    at: StallLevels,
-    step: float,
-    entry_step: float,
-    taus_s: FloatArray,
+    at: StallLevels, misfit: Callable[[StallLevels], float], step: float, entry_step: float
 ) -> StallLevels:
+    recovery, entry = at.recovery_phi, at.entry_phi
     moves = product((0.0, -1.0, 1.0), repeat=2)
-    tried = [
-        StallLevels(at.recovery_phi + i * step, at.entry_phi + k * entry_step) for i, k in moves
-    ]
-    return min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
+    tried = (StallLevels(recovery + i * step, entry + k * entry_step) for i, k in moves)
+    return min(tried, key=misfit)
 
 
-def _misfit(passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray) -> float:
+def _misfit(passes: Passes, spec: Specification, taus_s: FloatArray, levels: StallLevels) -> float:
     """Return twice the negative log likelihood of ψ', given a τ, and of hub-minus-tip flow."""
     state = state_by_levels(passes, levels)
     if min(np.count_nonzero(state), np.count_nonzero(~state)) < FEWEST_ROWS:

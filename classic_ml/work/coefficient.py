@@ -19,10 +19,9 @@ from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import choked_flow, corrected_from_physical
-from classic_ml.free_run import near
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.segments import cell_frequency_hz, hub_tip_stall
+from classic_ml.segments import cell_frequency_hz, hub_tip_stall, near
 from classic_ml.work.balance import (
     MIXING_PHI,
     delivered_power,
@@ -30,12 +29,11 @@ from classic_ml.work.balance import (
     flat_average,
     impossible_rows,
 )
-from surge_core.errors import InputError
+from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag
 from surge_core.leave_out import leave_out, scatter
 from surge_core.types import BoolArray, FloatArray, IntArray
-from surge_core.validation import positive
 
 # Rows below are simulated, not scored; what is left near zero flow has next to no power.
 SCORED_PHI = 0.01

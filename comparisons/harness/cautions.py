@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from classic_ml.emptied_band import emptied_above_hz
+from classic_ml.filters import emptied_above_hz
 from classic_ml.records import LedgerEntry
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record_run import WholeRecordRun

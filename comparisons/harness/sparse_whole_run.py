@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.free_run import near
 from classic_ml.record_reading import RecordReading
+from classic_ml.segments import near
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
-from classic_ml.whole_record_fit import LARGEST_SHARE
-from classic_ml.whole_record_interval import from_plane_to_plane, law_of_probes
+from classic_ml.whole_record_fit import LARGEST_SHARE, from_plane_to_plane, law_of_probes
 from classic_ml.whole_record_run import window_of
 from classic_ml.whole_run import (
     Spread,
@@ -45,10 +44,9 @@ from surge_core.lag import Hold
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
-    from sindy_surge.departure import Departure
     from sindy_surge.selection import PathRow
-    from sindy_surge.sparse_run import SparseRun
-    from sindy_surge.summary import ModelSummary
+    from sindy_surge.sparse_run import Departure, SparseRun
+    from sindy_surge.text import ModelSummary
 
 # Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
 LOWEST_PHI, GUARD_S = 0.01, 0.003
@@ -97,8 +95,7 @@ class SparseWholeRunFit(WholeRunFit):
 
     def summary(self) -> ModelSummary:
         """Return what is known of the fit; of a refused one no terms."""
-        from sindy_surge.summary import ModelSummary
-        from sindy_surge.text import EquationParts
+        from sindy_surge.text import EquationParts, ModelSummary
 
         terms = () if math.isnan(self.time_constant_s_) else tuple(self.terms_)
         parts = EquationParts(
@@ -154,7 +151,7 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
-    from sindy_surge.free_run_equations import FreeRunEquations
+    from sindy_surge.free_run import FreeRunEquations
     from sindy_surge.segments import Segments
     from sindy_surge.sparse_run import select_on_free_run
 

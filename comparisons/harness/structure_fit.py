@@ -17,7 +17,7 @@ from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from surge_core.display import Displayed, Field, Sheet
 
 if TYPE_CHECKING:
-    from sindy_surge.summary import ModelSummary
+    from sindy_surge.text import ModelSummary
     from surge_core.types import FloatArray
 
 CURVE_POINTS = 201

@@ -15,8 +15,8 @@ import pandas as pd
 from classic_ml.calibration import calibrate, near_stall_match
 from classic_ml.coefficients import coefficients
 from classic_ml.filters import filter_channels, phase_delay_s
+from classic_ml.flow import local_flows, plane_averages
 from classic_ml.io import TestDescription
-from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
 
 # The low-pass of the reduction (ReductionSettings), run once.

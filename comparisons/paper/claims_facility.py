@@ -13,17 +13,17 @@ from scipy.signal import detrend
 
 from classic_ml.calibration import calibrate
 from classic_ml.cycles import find_cycles
-from classic_ml.filters import low_pass
+from classic_ml.filters import low_pass, peak_frequency_hz, power_spectrum
 from classic_ml.flow import (
     LBM_KG,
     calculated_mach,
     corrected_flow,
+    local_flows,
     mach_from_corrected_flow,
     physical_flow,
+    plane_averages,
     true_mach,
 )
-from classic_ml.planes import local_flows, plane_averages
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.paper.claim import Check, Finding, Findings
 from comparisons.paper.instabilities import (
     INSTABILITIES,

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from classic_ml.calibration import calibrate
 from classic_ml.coefficients import flow_coefficient
-from classic_ml.filters import low_pass
+from classic_ml.filters import low_pass, peak_frequency_hz, power_spectrum
 from classic_ml.flow import LBM_KG
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (

@@ -68,7 +68,7 @@ def state_json(code: str, advice: str) -> dict[str, dict[str, str]]:
 
 def structure_document(found: FoundStructure) -> dict[str, Any]:
     """Return the document of ``structure --json``."""
-    from sindy_surge.summary import interval95
+    from sindy_surge.text import interval95
 
     fit, known, summary = found.fit, found.inclusion, found.summary
     parts = summary.parts

@@ -21,8 +21,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-from sindy_surge.discover.features import Features
-from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.discover.trajectories import Features, Trajectories
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from surge_core.types import BoolArray, FloatArray, IndexArray
 
@@ -69,11 +68,7 @@ class Collocation:
         return replace(self, rows=rows)
 
     def fit(
-        self,
-        support: IndexArray,
-        xi: FloatArray,
-        x: FloatArray,
-        ridge: FloatArray | None = None,
+        self, support: IndexArray, xi: FloatArray, x: FloatArray, ridge: FloatArray | None = None
     ) -> Fit:
         """Fit some terms, from coefficients (n_terms, n_states) and states (n_rows, n_states).
 

@@ -10,14 +10,12 @@ from sklearn.base import BaseEstimator
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
-from sindy_surge.discover.features import Features
 from sindy_surge.discover.levels import Level, search_by_levels
-from sindy_surge.discover.trajectories import Trajectories
+from sindy_surge.discover.trajectories import Features, Trajectories
 from sindy_surge.search import Tried
-from surge_core.errors import InputError
+from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
-from surge_core.validation import one_of
 
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
@@ -94,11 +92,7 @@ class SparseDynamics(BaseEstimator):
         self.random_state = random_state
 
     def fit(
-        self,
-        x: Any,
-        t: Any,
-        u: Any = None,
-        feature_names: Sequence[str] | None = None,
+        self, x: Any, t: Any, u: Any = None, feature_names: Sequence[str] | None = None
     ) -> Self:
         """Discover the equations.
 

@@ -32,12 +32,7 @@ class Level(Search[Fit]):
 
 
 def search_by_levels(
-    problem: Collocation,
-    rates: FloatArray,
-    given: Sequence[int],
-    optimizer: Any,
-    *,
-    full: bool,
+    problem: Collocation, rates: FloatArray, given: Sequence[int], optimizer: Any, *, full: bool
 ) -> tuple[list[Level], Tried[Fit]]:
     """Return the supports tried at each length of segments, the last first, and the best."""
     n_terms, n_states = problem.known.shape

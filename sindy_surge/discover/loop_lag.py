@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 
 from sindy_surge.discover.loop_balance import FittedSum, best_terms, block_covariance
-from sindy_surge.discover.smoothing import smoothed
 from sindy_surge.free_run import run_lag
 from sindy_surge.library import hinge_name, monomial_name
 from sindy_surge.linear_problem import least_squares
+from sindy_surge.noise import smoothed
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray

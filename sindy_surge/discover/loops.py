@@ -10,22 +10,14 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from sindy_surge.discover.loop_balance import Balance, fit_balance
-from sindy_surge.discover.loop_lag import (
-    Branch,
-    LagFit,
-    LagRows,
-    fit_one_branch,
-    fit_two_branches,
-)
+from sindy_surge.discover.loop_lag import Branch, LagFit, LagRows, fit_one_branch, fit_two_branches
 from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles
-from sindy_surge.discover.smoothing import smoothed
-from sindy_surge.noise import difference_noise
+from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from sindy_surge.text import signed_sum
-from surge_core.errors import InputError
+from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IntArray
-from surge_core.validation import positive
 
 STATES = ("phi", "psi_p", "plenum")
 # Two branches must leave less than this share of the variance that the richest single one leaves.

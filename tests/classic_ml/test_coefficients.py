@@ -20,7 +20,7 @@ from classic_ml.coefficients import (
 from classic_ml.description import Compressor, TestDescription
 from classic_ml.flow import corrected_flow, corrected_from_physical
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.work.forms import with_work
+from classic_ml.work.balance import with_work
 from surge_core.errors import InputError
 
 AIR = Compressor(

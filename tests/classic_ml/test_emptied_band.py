@@ -7,7 +7,7 @@ import pytest
 from lag_data import PERIOD_S, flow, lagged
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from classic_ml.emptied_band import emptied_above_hz
+from classic_ml.filters import emptied_above_hz
 
 
 def low_pass(values: np.ndarray, order: int, cutoff_hz: float, phase: str) -> np.ndarray:

@@ -11,8 +11,7 @@ from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, near_stall_match
 from classic_ml.faults.choice import choose_channels
-from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, STUCK
-from classic_ml.faults.search import inspect_readings
+from classic_ml.faults.search import BEYOND_LIMITS, CLIPPED, STUCK, inspect_readings
 from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from surge_core.errors import InputError

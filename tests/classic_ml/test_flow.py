@@ -15,12 +15,13 @@ from classic_ml.flow import (
     calculated_mach,
     corrected_flow,
     corrected_from_physical,
+    local_flows,
     mach_from_corrected_flow,
     pair_flow,
     physical_flow,
+    plane_averages,
     true_mach,
 )
-from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
 from surge_core.errors import InputError
 

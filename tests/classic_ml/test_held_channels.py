@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from clean_records import CLEAN, clean_record, with_channels
 
-from classic_ml.faults.held import check_held, held_rows
+from classic_ml.faults.plateaus import check_held, held_rows
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError

@@ -9,12 +9,12 @@ import pytest
 from shared_data import INDEPENDENT, needs_independent
 
 from classic_ml import LagRegressor
+from classic_ml.filters import peak_frequency_hz, power_spectrum
 from classic_ml.flow import LBM_KG
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction import Reduction, reduce_record
 from classic_ml.reduction_settings import ReductionSettings
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

@@ -8,7 +8,7 @@ from lag_data import PERIOD_S, coloured, flow, lagged
 from scipy.stats import t
 
 from classic_ml import LagRegressor
-from classic_ml.linearised import cycle_shifts
+from classic_ml.likelihood import cycle_shifts
 
 NOISES = ("arx", "armax", "output-error")
 

@@ -13,9 +13,8 @@ import pytest
 from raw_data import make_test, pascals_of, to_toml, write_csv
 
 from classic_ml.description import COUNT_KEYS
-from classic_ml.faults.findings import CLIPPED
 from classic_ml.faults.plateaus import range_ends
-from classic_ml.faults.search import inspect_readings
+from classic_ml.faults.search import CLIPPED, inspect_readings
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from comparisons.rig import SensorSettings, simulate, write_run

@@ -7,7 +7,7 @@ import pytest
 from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, near_stall_match
-from classic_ml.faults.probes import compare_probes, disagreements, slow_pressures
+from classic_ml.faults.choice import compare_probes, disagreements, slow_pressures
 from classic_ml.io import TestDescription
 from classic_ml.records import Channel, Record
 

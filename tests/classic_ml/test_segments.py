@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
 from classic_ml.cycles import deep_ones, find_cycles
-from classic_ml.free_run import near
 from classic_ml.intervals import bridged, label_intervals
 from classic_ml.records import Record
 from classic_ml.segments import (
@@ -18,6 +17,7 @@ from classic_ml.segments import (
     estimated_threshold_lbm_s,
     hub_tip_stall,
     in_stall_by_threshold,
+    near,
     segment,
     shows_stall,
     window_rows,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from classic_ml import CoefficientSeries
-from classic_ml.clock import uniform_period_s
+from classic_ml.series import uniform_period_s
 from surge_core.errors import InputError
 
 N = 300

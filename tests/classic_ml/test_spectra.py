@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from classic_ml.filters import peak_frequency_hz, power_spectrum
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

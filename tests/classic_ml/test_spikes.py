@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.faults.spikes import spike_rows
+from classic_ml.faults.search import spike_rows
 from classic_ml.records import Record
 from comparisons.rig import simulate
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.whitening import autoregressive_innovations, bartlett_widening, lagged_correlation
+from classic_ml.checks import autoregressive_innovations, bartlett_widening, lagged_correlation
 
 
 def autoregression(n: int, a: float, rng: np.random.Generator) -> np.ndarray:

@@ -11,19 +11,17 @@ import pytest
 from rig_records import rig_record, rig_run, rig_series, through_files
 
 from classic_ml.calibration import calibrate
+from classic_ml.flow import local_flows
 from classic_ml.io.series import read_series, write_series
-from classic_ml.planes import local_flows
 from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.segments import threshold_between
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import BranchFit, FreeRun, Specification, fit_branches
-from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
-from classic_ml.whole_record.passes import Passes, passes_of
+from classic_ml.whole_record.passes import Passes, cell_frequency_hz, passes_of, without_cells
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record
-from classic_ml.whole_record_interval import with_stored_gas
+from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings

@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from classic_ml.filters import period_average
-from classic_ml.free_run import extend_while_settled, free_run_rows, near
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.segments import cell_period_s, hub_tip_stall
+from classic_ml.segments import (
+    cell_period_s,
+    extend_while_settled,
+    free_run_rows,
+    hub_tip_stall,
+    near,
+)
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs
 from classic_ml.whole_run_rows import has_whole_run, whole_run_rows

@@ -21,9 +21,9 @@ from classic_ml.work.balance import (
     MIXING_PHI,
     delivered_power,
     flat_average,
+    with_work,
 )
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
-from classic_ml.work.forms import with_work
 from comparisons.show.work_output import work_document, work_table
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sindy_surge import InputError, SparseLagRegressor
+from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import binding_constraints, constraints_of
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.search import beam_search, proposals
-from sindy_surge.state_terms import PhysicalForm
 
 NAMES = ("1", "phi", "phi^2", "phi^3")
 

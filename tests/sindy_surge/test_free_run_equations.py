@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.free_run import FreeRunEquations
 from sindy_surge.segments import Segments
 
 from .conftest import PERIOD_S, TAU_S, lag

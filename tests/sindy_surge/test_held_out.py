@@ -10,10 +10,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from sindy_surge import FitState, SparseLagRegressor
 from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+from sindy_surge.held_out import MIN_HALF_WIDTH, WeakEquations, half_width_samples
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
-from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations, half_width_samples
 
 from .conftest import PERIOD_S, TAU_S, lag, relaxation_wave
 

@@ -9,11 +9,10 @@ from pysindy.optimizers import SSR, STLSQ
 from scipy.stats import norm
 
 from sindy_surge import InputError
-from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.lag_fit import WhiteEquations
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.search import beam_search, proposed_supports
-from sindy_surge.selection import information_penalty
+from sindy_surge.selection import inclusion_probabilities, information_penalty
 
 
 def _problem(seed: int = 0, noise: float = 0.1) -> LinearProblem:

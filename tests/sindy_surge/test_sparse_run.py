@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sindy_surge import FitState
-from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.free_run import FreeRunEquations
 from sindy_surge.segments import Segments
 from sindy_surge.sparse_run import SparseRun, select_on_free_run
 

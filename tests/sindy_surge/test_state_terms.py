@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sindy_surge import SparseLagRegressor
-from sindy_surge.state_terms import ProductStateTerms, physical_form
+from sindy_surge.candidate_terms import ProductStateTerms, physical_form
 
 from .conftest import PERIOD_S, TAU_S, relaxation_wave
 

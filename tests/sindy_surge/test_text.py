@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from sindy_surge import InputError
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.free_run import FreeModel
-from sindy_surge.summary import interval95
 from sindy_surge.text import (
     EquationParts,
+    interval95,
     pysindy_equations,
     write_equation,
 )

@@ -8,8 +8,7 @@ from surge_machines import STEP_S, draw, measured
 
 from sindy_surge import InputError, SurgeLoop, discover_loop
 from sindy_surge.discover.loop_signals import measure_cycles
-from sindy_surge.discover.smoothing import smoothed
-from sindy_surge.noise import difference_noise
+from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.fit_state import FitState
 
