@@ -76,18 +76,7 @@ class Command:
         parser.set_defaults(command=self)
 
     def carry_out(self, given: argparse.Namespace) -> None:
-        """Check the files, do the work and print what it gives.
-
-        Parameters
-        ----------
-        given : argparse.Namespace
-            What was typed.
-
-        Raises
-        ------
-        InputError
-            When an input or an option cannot be used; nothing is written then.
-        """
+        """Check the files, do the work and print what it gives."""
         self._check_files(given)
         with one_thread():
             for line in self.run(given):
@@ -115,18 +104,7 @@ class Command:
 
 
 def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
-    """Read series files, each once: a record that is held out must not be fitted too.
-
-    Parameters
-    ----------
-    paths : sequence of path
-        The files.
-
-    Raises
-    ------
-    InputError
-        When one cannot be used, or is given twice.
-    """
+    """Read series files, each once: a record that is held out must not be fitted too."""
     from classic_ml.io.series import read_series
     from comparisons.harness.rows import check_once
 
@@ -140,12 +118,7 @@ def write_asked(
 ) -> list[str]:
     """Write the texts that were asked for once all are made, and return a line on each.
 
-    Parameters
-    ----------
-    given : argparse.Namespace
-        What was typed.
-    **contents : callable
-        By the name of the option, what makes its text, or the document that becomes JSON.
+    ``contents`` has, by the name of the option, what makes its text or the document of its JSON.
     """
     made = []
     for name, make in contents.items():
@@ -160,18 +133,7 @@ def write_asked(
 
 
 def check_folder(path: Path) -> Path:
-    """Return a folder that can be written to, which need not exist yet.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        When a file is in its place or above it.
-    """
+    """Return a folder that can be written to, which need not exist yet."""
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not nearest.is_dir():
         raise InputError(str(path), expected="a folder to write to", found="a file")
@@ -181,17 +143,7 @@ def check_folder(path: Path) -> Path:
 def take_away(
     folder: Path | None, pages: Sequence[tuple[str, Sequence[Part]]], answer: Answer
 ) -> list[str]:
-    """Write what a page shows as files where that was asked for, and return a line on it.
-
-    Parameters
-    ----------
-    folder : path or None
-        Where; nothing is written without it.
-    pages : sequence of (str, sequence of Part)
-        Sections of the page.
-    answer : Answer
-        Whose characteristic becomes a lookup table.
-    """
+    """Write what a page shows as files where that was asked for, and return a line on it."""
     if folder is None:
         return []
     from comparisons.show.figures import write_figures

@@ -21,22 +21,8 @@ if TYPE_CHECKING:
 def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = None) -> SurgeLoop:
     """Discover the loop of a reduced record, from its unfiltered columns where it has them.
 
-    Parameters
-    ----------
-    series : CoefficientSeries
-        The record; the rows of its free run count where they are marked.
-    plenum : ndarray of shape (n_rows,), optional
-        Plenum pressure; hidden without it.
-
-    Returns
-    -------
-    SurgeLoop
-        The loop.
-
-    Raises
-    ------
-    InputError
-        If the record has too few surge cycles.
+    The rows of its free run count where they are marked; without ``plenum``, of shape (n_rows,),
+    the pressure of the plenum is hidden.
     """
     from sindy_surge.discover.loops import discover_loop
 

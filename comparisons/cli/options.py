@@ -66,13 +66,7 @@ def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return a type of options: whole numbers within limits.
-
-    Parameters
-    ----------
-    low, high : int
-        The least and the greatest that is taken.
-    """
+    """Return a type of options: whole numbers within limits, both of which are taken."""
 
     def read(text: str) -> int:
         try:
@@ -99,13 +93,7 @@ def number(text: str) -> float:
 
 
 def time_constant(text: str) -> float:
-    """Read a time such as ``18ms``, as a type of options; seconds without a unit.
-
-    Parameters
-    ----------
-    text : str
-        What was typed.
-    """
+    """Read a time such as ``18ms``, as a type of options; seconds without a unit."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms|us|µs)?\s*", text)
     try:
         seconds = float(match[1]) * TIME_UNITS[match[2]] if match else math.nan

@@ -140,15 +140,7 @@ def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
 def reduction_settings(given: argparse.Namespace) -> ReductionSettings:
     """Take over what was given; the rest keeps the defaults of the reduction.
 
-    Parameters
-    ----------
-    given : argparse.Namespace
-        With the arguments of ``REDUCTION``.
-
-    Raises
-    ------
-    InputError
-        Naming the field of the settings; :func:`options_named` makes the option of it.
+    An error names the field of the settings: :func:`options_named` makes the option of it.
     """
     from classic_ml.reduction_settings import ReductionSettings
 

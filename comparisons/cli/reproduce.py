@@ -53,17 +53,7 @@ def claims_sections(
     pictures: Sequence[Picture],
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> tuple[ReportSection, ...]:
-    """Return the sections of the page: the claims and the pictures.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    pictures : sequence of Picture
-        Counterparts of the paper's figures.
-    progress : callable
-        Wraps the iteration over the pictures, to show how far it is.
-    """
+    """Return the sections of the page: the claims, and the counterparts of the paper's figures."""
     from comparisons.page.blocks import Part, Words
     from comparisons.paper.claim import claims_block
     from comparisons.show.report import ReportSection

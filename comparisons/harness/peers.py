@@ -12,8 +12,9 @@ from importlib.util import find_spec
 from typing import Any, Self
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
-from scipy.signal import lfilter, lfiltic
+from scipy.signal import lfilter
 
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
@@ -38,13 +39,7 @@ def _needs(module: str, package: str) -> None:
 def _lagged(
     phi: FloatArray, y: FloatArray, segments: IntArray | None, lags: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return inputs (ψ' and φ before, φ now), the ψ' to predict and its rows; no seam is crossed.
-
-    Raises
-    ------
-    InputError
-        Where no segment is long enough.
-    """
+    """Return inputs (ψ', φ before, φ now), the ψ' to predict and its rows; no seam is crossed."""
     runs = runs_of(segments, phi.size)
     known = [np.arange(run.start + lags, run.stop) for run in runs]
     rows = np.concatenate(known).astype(np.int64)
@@ -253,7 +248,7 @@ class PlainPysindy(_Simulated):
         return np.asarray(last + h / 6.0 * (one + 2.0 * two + 2.0 * three + four))
 
 
-class PredictionError:
+class PredictionError(_Simulated):
     """The lag with a parabola and a moving average, by scipy's least squares over its errors.
 
     Parameters
@@ -267,8 +262,8 @@ class PredictionError:
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,): y[k+1] = a y[k] + b·s + C e."""
-        phi, runs = X[:, 0], runs_of(segments, y.size)
-        columns = np.vander(phi, 3, increasing=True)
+        runs, self.level_ = runs_of(segments, y.size), float(np.mean(y))
+        columns = np.vander(X[:, 0], 3, increasing=True)
         # φ is joined by lines: to first order the mean of the two ends acts.
         before = [np.column_stack([y[r][:-1], _middle(columns[r])]) for r in runs]
         after = [y[r][1:] for r in runs]
@@ -293,25 +288,12 @@ class PredictionError:
         return self
 
     def characteristic(self, phi: FloatArray) -> FloatArray:
-        """Return the parabola at φ, of shape (n,)."""
-        return np.asarray(np.vander(phi, 3, increasing=True) @ self.beta_)
+        """Return the parabola at φ, of the same shape."""
+        return np.asarray(polyval(phi, self.beta_))
 
-    def predict(
-        self,
-        X: FloatArray,
-        segments: IntArray | None = None,
-        start: FloatArray | None = None,
-    ) -> FloatArray:
-        """Return the free run of ψ', of shape (n,)."""
-        rest = self.characteristic(X[:, 0])
-        out = rest.copy() if start is None else np.array(start, dtype=np.float64)
-        for run in runs_of(segments, rest.size):
-            if run.stop - run.start > 1:
-                denominator = [1.0, -np.clip(self.a_, -1.0, 1.0)]
-                state = lfiltic([1.0], denominator, [out[run.start]])
-                drive = (1.0 - self.a_) * _middle(rest[run])
-                out[run][1:] = lfilter([1.0], denominator, drive, zi=state)[0]
-        return out
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        drive = (1.0 - self.a_) * self.characteristic(phi).mean(axis=1)
+        return np.asarray(np.clip(self.a_, -1.0, 1.0) * y[:, -1] + drive)
 
 
 def _middle(values: FloatArray) -> FloatArray:

@@ -112,18 +112,7 @@ def _averaged(records: Sequence[CoefficientSeries], keep: BoolArray, at: Terms) 
 
 
 def check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse rows that are given twice: they would count as two, or be held out and fitted too.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        The records.
-
-    Raises
-    ------
-    InputError
-        Naming the record whose rows are those of another.
-    """
+    """Refuse rows that are given twice: they would count as two, or be held out and fitted too."""
     for one, other in combinations(records, 2):
         if np.array_equal(one.phi, other.phi) and np.array_equal(one.psi_p, other.psi_p):
             raise InputError(

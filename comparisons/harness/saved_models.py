@@ -203,13 +203,7 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
 
 
 def about_models(path: str | Path) -> tuple[str | None, frozenset[float]]:
-    """Return the model of a file that `compare` recommended, and mean φ of the fitted records.
-
-    Parameters
-    ----------
-    path : str or path
-        A file that was read before.
-    """
+    """Return the model of a file that `compare` recommended, and mean φ of the fitted records."""
     document = json.loads(Path(path).read_text("utf-8"))
     return document.get("recommended"), frozenset(document.get("fitted_to", {}).values())
 

@@ -94,13 +94,7 @@ def fit_work(
 
 
 def why_withheld(fit: WorkCharacteristic) -> str:
-    """Say why a fit states neither τ nor curve; empty where it states both.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Say why a fit states neither τ nor curve; empty where it states both."""
     if math.isfinite(fit.time_constant_s):
         return ""
     if fit.fit_state is FitState.UNCERTAIN:
@@ -115,13 +109,7 @@ def why_withheld(fit: WorkCharacteristic) -> str:
 
 
 def is_vague(fit: WorkCharacteristic) -> bool:
-    """Return whether τ or the curve is known worse than a whole run's τ may be.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Return whether τ or the curve is known worse than a whole run's τ may be."""
     if not math.isfinite(fit.time_constant_s):
         return False
     value, error = fit.characteristic(np.linspace(*fit.valid_phi, GRID_POINTS))
@@ -130,13 +118,7 @@ def is_vague(fit: WorkCharacteristic) -> bool:
 
 
 def withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
-    """Return a fit without numbers where one is vague, as an answer states it.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Return a fit without numbers where one is vague, as an answer states it."""
     if not is_vague(fit):
         return fit
     known = {k: v for k, v in fit.entry.parameters.items() if k != "time_constant_s"}

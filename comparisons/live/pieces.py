@@ -15,19 +15,7 @@ from surge_core.errors import InputError
 
 @dataclass
 class Piece:
-    """Rows without a gap.
-
-    Parameters
-    ----------
-    number : int
-        From 1.
-    path : path
-        Its raw record.
-    gap : str
-        What is missing before it.
-    n_rows : int
-        How many rows it has.
-    """
+    """Rows without a gap: a number from 1, their raw record, and what is missing before them."""
 
     number: int
     path: Path
@@ -36,13 +24,7 @@ class Piece:
 
 
 class Pieces:
-    """Write rows to disk as they come, a file a piece.
-
-    Parameters
-    ----------
-    path : path
-        File of the first piece; further pieces are numbered.
-    """
+    """Write rows to disk as they come, a file a piece; further ones than the first are numbered."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -57,13 +57,7 @@ class Lines:
         self.ended = False
 
     def take(self, lines: Iterable[bytes]) -> list[Row]:
-        """Return the rows among the next lines, each with its clock.
-
-        Parameters
-        ----------
-        lines : iterable of bytes
-            The next lines of the connection.
-        """
+        """Return the rows among the next lines of the connection, each with its clock."""
         rows = []
         for line in map(bytes.strip, lines):
             if self.ended or not line:
@@ -128,13 +122,7 @@ class RowOrder:
         self.repeated = 0
 
     def take(self, rows: Sequence[Row]) -> list[Run]:
-        """Return the rows that are in order by now.
-
-        Parameters
-        ----------
-        rows : sequence of tuple of float and bytes
-            Clock and line of each, as they came.
-        """
+        """Return those of the rows, and of those that wait, that are in order by now."""
         if math.isnan(self._period):
             rows = [*self._waiting, *rows]
             self._waiting = []

@@ -83,10 +83,7 @@ class Session:
     def run(self) -> None:
         """Follow the feed until it ends, is silent for too long, or the session is stopped.
 
-        Raises
-        ------
-        InputError
-            When the first rows cannot be read as those of the test, or there are none.
+        First rows that cannot be read as those of the test are refused; so is a feed without any.
         """
         if self.test.file.clock != "column":
             raise InputError(
@@ -131,13 +128,7 @@ class Session:
         )
 
     def show(self, phase: str) -> None:
-        """Show what is known now.
-
-        Parameters
-        ----------
-        phase : {"waiting", "running", "reducing", "done"}
-            How far the session is.
-        """
+        """Show what is known now, with the phase ("waiting", "running", "reducing" or "done")."""
         record = f"{self.pieces.n_rows} rows"
         if len(self.pieces.pieces) > 1:
             record += f", in {len(self.pieces.pieces)} pieces"

@@ -146,15 +146,7 @@ def printable(text: str, longest: int = 60) -> str:
 def broken(
     time_s: FloatArray, values: FloatArray, runs: list[slice]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a signal with a gap between its segments, so that no line joins two.
-
-    Parameters
-    ----------
-    time_s, values : ndarray of shape (n,)
-        The signal.
-    runs : list of slice
-        Its segments.
-    """
+    """Return a signal with a gap between its segments, so that no line joins two."""
     gap = np.array([np.nan])
     times = [part for run in runs for part in (time_s[run], gap)]
     levels = [part for run in runs for part in (values[run], gap)]

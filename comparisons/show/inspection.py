@@ -30,15 +30,7 @@ SURGING_SHARE = 0.8
 
 
 def inspect_text(inspection: Inspection, match: TestMatch | None = None) -> str:
-    """Return the findings as text.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        What is in the file.
-    match : TestMatch, optional
-        The file beside its test.toml, and what reduce would make of it.
-    """
+    """Return the findings as text; with a match also what reduce would make of the file."""
     parts = [_file_text(inspection)]
     if match is not None:
         parts += [_match_text(match), _reduction_text(match)]

@@ -111,15 +111,7 @@ def surge_cycles(reduction: Reduction) -> Picture:
 
 
 def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
-    """Draw the coefficient over φ, as the record ran through it.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        A reduced record.
-    target : {"psi_p", "psi"}
-        Which coefficient; the record has it.
-    """
+    """Draw the coefficient of a reduced record over φ, as the record ran through it."""
     values = np.asarray(getattr(series, target))
     if target == "psi":
         # A gap where it was interpolated: at small and at reversed flow.
@@ -151,15 +143,7 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
 
 
 def span(values: FloatArray, unit: str = "") -> str:
-    """Return the least and the greatest of a signal's finite values.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The signal.
-    unit : str
-        Its unit; empty for none.
-    """
+    """Return the least and the greatest of a signal's finite values, with their unit."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return "not known"
@@ -168,15 +152,7 @@ def span(values: FloatArray, unit: str = "") -> str:
 
 
 def cycle_words(values: FloatArray, sample_rate_hz: float) -> str:
-    """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The pressure, or its coefficient.
-    sample_rate_hz : float
-        Its sample rate.
-    """
+    """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it."""
     from comparisons.missing_effect.excitation import surge_frequency_hz
 
     surge_hz = surge_frequency_hz(values, sample_rate_hz) if np.ptp(values) > 0.0 else 0.0

@@ -150,19 +150,7 @@ def errors_in_time(comparison: Comparison) -> Picture:
 
 
 def shade(ax: Axes, time_s: FloatArray, where: BoolArray, label: str) -> None:
-    """Shade the stretches of rows that a mask marks.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    time_s : ndarray of shape (n,)
-        Clock of the rows, in seconds.
-    where : ndarray of bool, shape (n,)
-        The mask.
-    label : str
-        Entry of the legend.
-    """
+    """Shade the stretches of rows, by their clock, that a mask marks."""
     name: str | None = label
     step = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     # Rows of two segments lie further apart than one step; the shade does not bridge them.
