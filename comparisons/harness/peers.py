@@ -1,7 +1,7 @@
 """Other people's methods, as one would write them in an afternoon, behind ``fit`` and ``predict``.
 
 Each takes X (n, 1) = φ and y (n,) = ψ' with ``segments`` and simulates from φ; ``start`` is the
-measured ψ' at the first row of each segment. Where a library is not installed, they say which.
+measured ψ' at the first row of each segment.
 """
 
 from __future__ import annotations
@@ -12,9 +12,14 @@ from importlib.util import find_spec
 from typing import Any, Self
 
 import numpy as np
+import pysindy
 from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
+from sklearn.compose import TransformedTargetRegressor
+from sklearn.neural_network import MLPRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
@@ -24,16 +29,6 @@ from surge_core.types import FloatArray, IntArray
 LARGEST_C = 0.999
 # A simulation that runs off stays finite, and is scored as what it is.
 FARTHEST = 1e3
-
-
-def _needs(module: str, package: str) -> None:
-    if find_spec(module) is None:
-        raise InputError(
-            f"package {package}",
-            expected="it to be installed",
-            found=f"no module {module}",
-            remedy='pip install "sindy-surge[peers]", or leave that --method out',
-        )
 
 
 def _lagged(
@@ -117,11 +112,6 @@ class NarxNetwork(_Narx):
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        from sklearn.compose import TransformedTargetRegressor
-        from sklearn.neural_network import MLPRegressor
-        from sklearn.pipeline import make_pipeline
-        from sklearn.preprocessing import StandardScaler
-
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
         self.level_ = float(np.mean(target))
         network = MLPRegressor(
@@ -155,13 +145,18 @@ class Frols(_Narx):
     """
 
     def __init__(self, degree: int = 2, n_terms: int = 8) -> None:
-        _needs("sysidentpy", "sysidentpy")
+        if find_spec("sysidentpy") is None:
+            raise InputError(
+                "package sysidentpy",
+                expected="it to be installed",
+                found="no module sysidentpy",
+                remedy='pip install "sindy-surge[peers]", or leave that --method out',
+            )
         self.degree = degree
         self.n_terms = n_terms
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        from sklearn.preprocessing import PolynomialFeatures
         from sysidentpy.model_structure_selection import FROLS
 
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
@@ -196,15 +191,12 @@ class PlainPysindy(_Simulated):
     """
 
     def __init__(self, sample_period_s: float, degree: int = 2, threshold: float = 1.0) -> None:
-        _needs("pysindy", "pysindy")
         self.sample_period_s = sample_period_s
         self.degree = degree
         self.threshold = threshold
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        import pysindy
-
         runs = [run for run in runs_of(segments, y.size) if run.stop - run.start > 15]
         differences = pysindy.SmoothedFiniteDifference(
             smoother_kws={"window_length": 11, "polyorder": 3}

@@ -164,7 +164,7 @@ def save_models(
 
 
 def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str, M]:
-    """Read the models of a file; nothing in it is executed.
+    """Read the models of a file, by name and at least one; nothing in it is executed.
 
     Parameters
     ----------
@@ -174,11 +174,6 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         What it must be.
     kind : type of SavedModel
         What each of its models must be.
-
-    Returns
-    -------
-    dict of str to SavedModel
-        By name, at least one.
 
     Raises
     ------

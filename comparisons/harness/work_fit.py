@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from classic_ml.records import counted
+from classic_ml.io import TestDescription
+from classic_ml.records import Record, counted
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.whole_record_fit import LARGEST_SHARE
@@ -18,10 +19,6 @@ from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteris
 from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-
-if TYPE_CHECKING:
-    from classic_ml.io import TestDescription
-    from classic_ml.records import Record
 
 # Slopes over less than this share of the range are not separated from the errors of φ.
 LEAST_PIECE = 0.25
@@ -41,10 +38,9 @@ def fit_work(
 
     Parameters
     ----------
-    record : Record
-        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
-    test : TestDescription
-        The test they belong to.
+    record, test : Record, TestDescription
+        Counts and kelvin, and the test they belong to, as :func:`classic_ml.io.read_raw` returns
+        them.
     breakpoints : tuple of float, optional
         Where the straight pieces of Fig 22 meet; without them the pair with the least error is
         taken from a grid over the flow that the record visits.
@@ -56,7 +52,7 @@ def fit_work(
     Raises
     ------
     InputError
-        In one sentence when there is no T31 that counts, so no W31 and no ψ.
+        When there is no T31 that counts, so no W31 and no ψ.
     """
     settings = ReductionSettings(phase="none", thermocouple_inversion=True)
     reduction = reduce_record(record, test, settings)

@@ -33,14 +33,7 @@ LEAST_ROWS = 100
 class Monitor:
     """Follow the machine: operating point, stall and surge, running estimate.
 
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    settings : ReductionSettings
-        The switches of the running estimate.
-    scratch : path
-        Folder for rows that are read like files.
+    Rows are read like files, from a folder of their own (``scratch``).
 
     Attributes
     ----------

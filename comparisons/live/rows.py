@@ -27,14 +27,7 @@ Run = tuple[str, list[bytes]]
 
 
 class Lines:
-    """Decode the lines of one connection.
-
-    Parameters
-    ----------
-    clock : str
-        Name of the column with the clock.
-    refused : Counter
-        Where lines that are left out are counted, by reason.
+    """Decode the lines of one connection; ``clock`` names the column with the clock.
 
     Attributes
     ----------
@@ -101,17 +94,9 @@ class Lines:
 class RowOrder:
     """Drop rows that were had, and cut the record where rows are missing.
 
-    The sample period is that of the first rows, in whatever unit their clock is.
-
-    Parameters
-    ----------
-    refused : Counter
-        Where rows that fit nowhere are counted.
-
-    Attributes
-    ----------
-    repeated : int
-        Rows whose clock was had already, as after a connection that was lost.
+    The sample period is that of the first rows, in whatever unit their clock is. Rows that fit
+    nowhere are counted in ``refused``; in ``repeated`` those whose clock was had already, as after
+    a connection that was lost.
     """
 
     def __init__(self, refused: Counter[str]) -> None:

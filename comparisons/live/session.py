@@ -41,20 +41,8 @@ class Screen(Protocol):
 class Session:
     """Follow a feed until it ends.
 
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    feed : Feed
-        Where the rows come from.
-    pieces : Pieces
-        Where they are kept.
-    monitor : Monitor
-        What is known of the machine.
-    screens : sequence of Screen
-        What shows it.
-    timeout_s : float
-        How long to wait without a row.
+    ``pieces`` keep the rows, ``monitor`` knows the machine, ``screens`` show it; ``timeout_s`` is
+    how long to wait without a row.
     """
 
     test: TestDescription

@@ -32,15 +32,7 @@ SHADE = "#f0ece0"
 
 @dataclass(frozen=True)
 class LineStyle:
-    """How an estimator is drawn in every picture.
-
-    Parameters
-    ----------
-    colour : str
-        Colour of line and band.
-    dashes : str or tuple
-        Matplotlib line style, so that lines stay apart in a print in grey.
-    """
+    """How an estimator is drawn in every picture, apart from others in a print in grey too."""
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]]

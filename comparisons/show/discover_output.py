@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from sindy_surge.discover.dynamics import SparseDynamics
+from sindy_surge.discover.equations import Rival, Term
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
-
-if TYPE_CHECKING:
-    from sindy_surge.discover.dynamics import SparseDynamics
-    from sindy_surge.discover.equations import Rival, Term
-    from surge_core.types import FloatArray
+from surge_core.types import FloatArray
 
 DISCOVER_SCHEMA = "sindy-surge/discover/1"
 RIVALS_SHOWN = 5

@@ -5,19 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from classic_ml.inspect import ChannelFacts, ChannelMatch, ClockFacts, Inspection, TestMatch
 from classic_ml.records import counted, ledger_lines
 from surge_core.display import Grid
-
-if TYPE_CHECKING:
-    from classic_ml.inspect import (
-        ChannelFacts,
-        ChannelMatch,
-        ClockFacts,
-        Inspection,
-        TestMatch,
-    )
 
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,

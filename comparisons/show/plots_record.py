@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.flow import LBM_KG
+from classic_ml.reduction import Reduction
 from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect.excitation import surge_frequency_hz
 from comparisons.page import style
 from comparisons.page.blocks import Picture
 from comparisons.results import SYMBOLS
@@ -19,8 +21,6 @@ from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from classic_ml.reduction import Reduction
 
 DIGITS = 3
 # Of a longer record more would only blacken the paper.
@@ -153,8 +153,6 @@ def span(values: FloatArray, unit: str = "") -> str:
 
 def cycle_words(values: FloatArray, sample_rate_hz: float) -> str:
     """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it."""
-    from comparisons.missing_effect.excitation import surge_frequency_hz
-
     surge_hz = surge_frequency_hz(values, sample_rate_hz) if np.ptp(values) > 0.0 else 0.0
     if surge_hz <= 0.0:
         return "No cycle stands out."

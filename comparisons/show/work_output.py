@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from classic_ml.work.coefficient import WorkCharacteristic
 from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.show.json_output import curve_json, state_json, tau_json
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
-
-if TYPE_CHECKING:
-    from classic_ml.work.coefficient import WorkCharacteristic
-    from surge_core.types import FloatArray
+from surge_core.types import FloatArray
 
 WORK_SCHEMA = "sindy-surge/work/1"
 
@@ -39,15 +37,7 @@ def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
 
 
 def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
-    """Return the fit as text.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        The fit.
-    searched : bool
-        The breakpoints were searched: then the errors do not say all.
-    """
+    """Return the fit as text; where the breakpoints were searched, its errors do not say all."""
     low, high = fit.valid_phi
     if not math.isfinite(fit.time_constant_s):
         return (
