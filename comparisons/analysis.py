@@ -5,23 +5,30 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from classic_ml.inspect import Inspection, inspect_file
+from classic_ml.io import read_raw, read_test_description
 from classic_ml.records import counted
+from classic_ml.reduction import Reduction, reduce_record
+from classic_ml.whole_record_fit import N_TWINS
+from classic_ml.work.coefficient import WorkCharacteristic
+from comparisons.harness.answer import TauReading, answer_of
+from comparisons.harness.cautions import unknown_work
+from comparisons.harness.compare import compare_records
+from comparisons.harness.structure_fit import FoundStructure, find_structure
+from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vague
+from comparisons.missing_effect import Diagnosis, diagnose
+from comparisons.missing_effect.quantities import plain_name
+from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
+from comparisons.missing_effect.words import verdict_sentence
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
 from surge_core.rounding import round_to_error
 from surge_core.threads import one_thread
-
-if TYPE_CHECKING:
-    from classic_ml.inspect import Inspection
-    from classic_ml.reduction import Reduction
-    from classic_ml.work.coefficient import WorkCharacteristic
-    from comparisons.harness.structure_fit import FoundStructure
-    from comparisons.missing_effect import Diagnosis
 
 # Each with the seconds that it lasts on a record of 4000 rows; only their ratios matter.
 STEPS = {
@@ -107,18 +114,6 @@ def analyse(
         When the record cannot be reduced or compared. A later step that refuses is listed in the
         answer instead.
     """
-    from classic_ml.inspect import inspect_file
-    from classic_ml.io import read_raw, read_test_description
-    from classic_ml.reduction import reduce_record
-    from classic_ml.whole_record_fit import N_TWINS
-    from comparisons.harness.answer import TauReading, answer_of
-    from comparisons.harness.cautions import unknown_work
-    from comparisons.harness.compare import compare_records
-    from comparisons.harness.structure_fit import find_structure
-    from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vague
-    from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
-
     names = iter(STEPS)
     begin(next(names))
     inspection = inspect_file(raw, read_test_description(test).file)
@@ -196,9 +191,6 @@ def missing_words(d: Diagnosis) -> str:
     d : Diagnosis
         The diagnosis.
     """
-    from comparisons.missing_effect.quantities import plain_name
-    from comparisons.missing_effect.words import verdict_sentence
-
     few_decided = not d.missing and len(d.untold) > len(d.absent)
     words = [
         # "Nothing is missing" is not said where the record decides about few effects.

@@ -1,63 +1,31 @@
-"""What a command is, and what the commands do alike: read series, write what was asked for."""
+"""What a command is: what is typed, and the module of its name that does the work."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.options import Argument
 from surge_core.errors import InputError
-from surge_core.files import check_apart, check_target, to_strict_json, write_whole
-from surge_core.progress import shown_over
+from surge_core.files import check_apart, check_target
 from surge_core.threads import one_thread
-
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from comparisons.page.blocks import Part
-    from comparisons.results import Answer
-
-# How far fits, twins, passes of a step and pictures are, on a terminal only.
-fitting = partial(shown_over, unit="fit", words="fitting")
-measuring = partial(shown_over, unit="twin", words="measuring twins")
-working = partial(shown_over, unit="pass")
-drawing = partial(shown_over, unit="picture", words="drawing")
-
-# What the line on a written file calls it, by the option.
-LABELS = {
-    "json": "numbers",
-    "out": "reconstruction",
-    "save_facility": "facility",
-}
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command of `sindy-surge`.
+    """A command of `sindy-surge`; the module of its name gives the lines that are printed.
 
-    Parameters
-    ----------
-    name, help, description : str
-        As in the help.
-    arguments : tuple of Argument
-        In the order of the help.
-    run : callable
-        Does the work and gives the lines that are printed.
-    add : callable, optional
-        Adds to the parser what is no plain argument, ahead of the others.
-    formatter : type
-        How argparse sets the help.
+    ``arguments`` stand in the order of the help; ``add`` adds what is no plain argument, ahead of
+    them; ``formatter`` is how argparse sets the help.
     """
 
     name: str
     help: str
     description: str
     arguments: tuple[Argument, ...]
-    run: Callable[[argparse.Namespace], Iterable[str]]
     add: Callable[[argparse.ArgumentParser], None] | None = None
     formatter: type[argparse.HelpFormatter] = argparse.HelpFormatter
 
@@ -76,21 +44,12 @@ class Command:
         parser.set_defaults(command=self)
 
     def carry_out(self, given: argparse.Namespace) -> None:
-        """Check the files, do the work and print what it gives.
-
-        Parameters
-        ----------
-        given : argparse.Namespace
-            What was typed.
-
-        Raises
-        ------
-        InputError
-            When an input or an option cannot be used; nothing is written then.
-        """
+        """Check the files, do the work and print what it gives."""
         self._check_files(given)
+        # Loaded here: `--help` stays instant.
+        module = import_module(f"comparisons.cli.{self.name.replace('-', '_')}")
         with one_thread():
-            for line in self.run(given):
+            for line in module.run(given):
                 print(line)
 
     def _check_files(self, given: argparse.Namespace) -> None:
@@ -103,6 +62,11 @@ class Command:
         for path in read:
             if not path.exists():
                 raise InputError(str(path), expected="a file that exists", found="no such file")
+        for each, path in typed:
+            # The nearest that is there must be a folder.
+            above = (path, *path.absolute().parents) if each.folder and path else ()
+            if not next((place.is_dir() for place in above if place.exists()), True):
+                raise InputError(str(path), expected="a folder to write to", found="a file")
         targets = [(path, each.suffixes) for each, path in typed if each.written and path]
         for path, suffixes in targets:
             check_target(path, suffixes)
@@ -112,94 +76,3 @@ class Command:
             # The ledger beside a series is read too.
             ledgers = (ledger_path(path) for path in read if path.name)
             check_apart([*read, *ledgers], [path for path, _ in targets])
-
-
-def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
-    """Read series files, each once: a record that is held out must not be fitted too.
-
-    Parameters
-    ----------
-    paths : sequence of path
-        The files.
-
-    Raises
-    ------
-    InputError
-        When one cannot be used, or is given twice.
-    """
-    from classic_ml.io.series import read_series
-    from comparisons.harness.rows import check_once
-
-    records = [read_series(path) for path in paths]
-    check_once(records)
-    return records
-
-
-def write_asked(
-    given: argparse.Namespace, **contents: Callable[[], str | dict[str, Any] | list[Any]]
-) -> list[str]:
-    """Write the texts that were asked for once all are made, and return a line on each.
-
-    Parameters
-    ----------
-    given : argparse.Namespace
-        What was typed.
-    **contents : callable
-        By the name of the option, what makes its text, or the document that becomes JSON.
-    """
-    made = []
-    for name, make in contents.items():
-        path = getattr(given, name)
-        if path is not None:
-            content = make()
-            text = content if isinstance(content, str) else to_strict_json(content)
-            made.append((name, path, text))
-    for _, path, text in made:
-        write_whole(path, text)
-    return [f"{LABELS.get(name, name)}: {path}" for name, path, _ in made]
-
-
-def check_folder(path: Path) -> Path:
-    """Return a folder that can be written to, which need not exist yet.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        When a file is in its place or above it.
-    """
-    nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
-    if not nearest.is_dir():
-        raise InputError(str(path), expected="a folder to write to", found="a file")
-    return path
-
-
-def take_away(
-    folder: Path | None, pages: Sequence[tuple[str, Sequence[Part]]], answer: Answer
-) -> list[str]:
-    """Write what a page shows as files where that was asked for, and return a line on it.
-
-    Parameters
-    ----------
-    folder : path or None
-        Where; nothing is written without it.
-    pages : sequence of (str, sequence of Part)
-        Sections of the page.
-    answer : Answer
-        Whose characteristic becomes a lookup table.
-    """
-    if folder is None:
-        return []
-    from comparisons.show.figures import write_figures
-
-    n = write_figures(pages, folder, answer.curve)
-    return [f"figures and tables: {folder} ({n} files)"]
-
-
-def command_line() -> str:
-    """Return the command as it was typed, for reports."""
-    return " ".join(["sindy-surge", *sys.argv[1:]])

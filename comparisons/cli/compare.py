@@ -6,52 +6,35 @@ import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import (
-    Command,
-    check_folder,
-    command_line,
-    drawing,
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record_fit import N_TWINS
+from comparisons.cli.output import (
     fitting,
     measuring,
+    page,
     read_records,
     take_away,
     write_asked,
 )
-from comparisons.cli.options import (
-    FIGURES,
-    HOLD,
-    JSON,
-    METHOD,
-    NO_TWINS,
-    REPORT,
-    SERIES,
-    argument,
-    reads,
-    time_constant,
-    whole,
-    writes,
-)
+from comparisons.harness.answer import answer_of
+from comparisons.harness.cautions import psi_by_rise
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import EstimatorSpec, default_estimators
+from comparisons.harness.methods import OwnMethod
+from comparisons.harness.saved_models import save_models
+from comparisons.missing_effect.extended_file import load_extended
+from comparisons.missing_effect.extended_refit import extended_specs
+from comparisons.results import Comparison
+from comparisons.show.json_output import comparison_document
+from comparisons.show.report import ReportSection, report_pages
+from comparisons.show.table import comparison_table
 from surge_core.errors import InputError
 
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from comparisons.harness.estimators import EstimatorSpec
-    from comparisons.results import Comparison
 
-
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from comparisons.harness.answer import answer_of
-    from comparisons.harness.methods import OwnMethod
-    from comparisons.harness.saved_models import save_models
-    from comparisons.page.html import render_page
-    from comparisons.show.json_output import comparison_document
-    from comparisons.show.report import ReportSection, report_pages
-    from comparisons.show.table import comparison_table
-
-    if given.figures:
-        check_folder(given.figures)
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Fit the estimators and set them side by side."""
     for method in given.method:
         OwnMethod(method).check()
     records = read_records(given.series)
@@ -63,15 +46,13 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     section = ReportSection(title=title, comparison=comparison, work=work, answer=answer)
     pages = report_pages([section]) if given.report or given.figures else []
 
-    def page() -> str:
-        head = f"Comparison on {title}"
-        return render_page(pages, title=head, command=command_line(), progress=drawing)
-
     def document() -> dict[str, Any]:
         found = comparison_document(comparison, work)
         return {"work_coefficient": None, **found} if by_rise else found
 
-    written = write_asked(given, json=document, report=page)
+    written = write_asked(
+        given, json=document, report=lambda: page(f"Comparison on {title}", pages)
+    )
     if given.save:
         models = {name: model for fit in (comparison, work) if fit for name, model in fit.models}
         save_models(models, given.save, comparison.recommended, records)
@@ -89,8 +70,6 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
 def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
     """Return the sentence that no ψ_QS is stated; none where ψ is no worse than ψ'."""
-    from comparisons.harness.cautions import psi_by_rise
-
     found = [psi_by_rise(record.history) for record in records if record.psi is not None]
     return list(dict.fromkeys(f"{caution.text}\n" for caution in found if caution is not None))
 
@@ -98,8 +77,6 @@ def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
 def _compare(
     records: Sequence[CoefficientSeries], given: argparse.Namespace, *, fit_work: bool
 ) -> tuple[Comparison, Comparison | None]:
-    from comparisons.harness.compare import compare_records
-
     options: dict[str, Any] = {
         "hold": given.hold,
         "time_constant_s": given.tau,
@@ -117,12 +94,6 @@ def _compare(
 
 def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
     """Return the default estimators, --model's and --method's."""
-    from classic_ml.whole_record_fit import N_TWINS
-    from comparisons.harness.estimators import default_estimators
-    from comparisons.harness.methods import OwnMethod
-    from comparisons.missing_effect.extended_file import load_extended
-    from comparisons.missing_effect.extended_refit import extended_specs
-
     if given.model is not None and given.hold != "first":
         raise InputError(
             "--model",
@@ -143,42 +114,3 @@ def _specs(given: argparse.Namespace) -> tuple[EstimatorSpec, ...]:
     if len(set(names)) != len(names):
         raise InputError("--method", expected="each name once", found=", ".join(names[len(own) :]))
     return specs
-
-
-COMMAND = Command(
-    "compare",
-    help="fit the estimators to the same series and set them side by side",
-    description="Fit the paper's maximum-likelihood lag model and the sparse regression to the "
-    "same record: characteristics, time constants, reconstructions, held-out errors.",
-    arguments=(
-        SERIES,
-        JSON,
-        REPORT,
-        FIGURES,
-        writes("--save", metavar="MODEL", help="save the fitted models"),
-        reads(
-            "--model",
-            metavar="FILE",
-            help="set a lag model with effects, saved by diagnose, beside the estimators: its "
-            "numbers are fitted again, its structure stays",
-        ),
-        argument(
-            "--degree",
-            type=whole(1, 12),
-            default=2,
-            metavar="N",
-            help="degree of the classical characteristic (default: 2)",
-        ),
-        METHOD,
-        HOLD,
-        argument(
-            "--tau",
-            type=time_constant,
-            metavar="TAU",
-            help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is "
-            "fitted",
-        ),
-        NO_TWINS,
-    ),
-    run=_run,
-)

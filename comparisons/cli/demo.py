@@ -7,19 +7,25 @@ import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from comparisons.cli.command import Command, check_folder, command_line, drawing
-from comparisons.cli.options import argument, seed
+import numpy as np
+
+from classic_ml.io import read_raw
+from classic_ml.io.series import write_series
+from classic_ml.reduction import Reduction, reduce_record
+from comparisons.analysis import STEPS, Analysis, analyse
+from comparisons.cli.output import page
+from comparisons.harness.reconstruction import validate_models
+from comparisons.harness.saved_models import save_models
+from comparisons.missing_effect import diagnose
+from comparisons.missing_effect.report import diagnosis_parts
+from comparisons.page.blocks import Picture
+from comparisons.results import Truth
+from comparisons.rig import RigRun, simulate, write_run
+from comparisons.show.report import ReportSection, report_pages, truth_list
+from comparisons.show.run_output import run_section
 from surge_core.files import write_whole
 from surge_core.progress import shown_steps
-
-if TYPE_CHECKING:
-    from classic_ml.reduction import Reduction
-    from comparisons.analysis import Analysis
-    from comparisons.results import Truth
-    from comparisons.rig import RigRun
-    from comparisons.show.report import ReportSection
 
 # The paper's main case, and the one in which ψ could be had too; the second 98.5 % instability
 # is for validation: nothing is fitted to it.
@@ -35,26 +41,19 @@ TRUTH_TO_PHI = 0.24
 WORK_PHI = (0.02, 0.1)
 PICTURE = "missing_effect.png"
 PICTURE_DPI = 110
-# What loading, simulating, validating, hiding, diagnosing and drawing last on two cores, in
-# seconds; only the ratios matter.
-LOAD_S, SIMULATE_S, VALIDATE_S, HIDE_S, DIAGNOSE_S, DRAW_S = 1.0, 1.0, 2.0, 2.0, 9.0, 5.0
+# What simulating, validating, hiding, diagnosing and drawing last on two cores, in seconds; only
+# the ratios matter.
+SIMULATE_S, VALIDATE_S, HIDE_S, DIAGNOSE_S, DRAW_S = 1.0, 2.0, 2.0, 9.0, 5.0
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
+def run(given: argparse.Namespace) -> Iterable[str]:
     """Run the whole way on simulated tests, and write the report."""
-    from comparisons.analysis import STEPS
-
     folder = given.out
-    check_folder(folder).mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     of_test = [SIMULATE_S, *STEPS.values()]
-    steps = [LOAD_S, *of_test, VALIDATE_S, *of_test, HIDE_S, DIAGNOSE_S, DRAW_S]
+    steps = [*of_test, VALIDATE_S, *of_test, HIDE_S, DIAGNOSE_S, DRAW_S]
     answers, lines, sections = [], [], []
     with shown_steps(steps, lines=True) as begin:
-        begin("loading; the first run compiles for some seconds")
-        from comparisons.harness.reconstruction import validate_models
-        from comparisons.show.report import render_report
-        from comparisons.show.run_output import run_section
-
         for case, title in FITTED.items():
             rig, found = _analysed(folder, case, title, given.seed, begin)
             answers.append(f"{found.answer}\n")
@@ -75,21 +74,16 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         lines += [f"What is missing: {HIDDEN} hidden in the raw counts (seed {given.seed})", line]
         begin("drawing the report")
         title = "A simulated surge test, end to end"
-        page = folder / "report.html"
-        report = render_report(sections, title=title, command=command_line(), progress=drawing)
-        write_whole(page, report)
-    return *answers, *lines, f"report: {page}"
+        path = folder / "report.html"
+        write_whole(path, page(title, report_pages(sections)))
+    return *answers, *lines, f"report: {path}"
 
 
 def _analysed(
     folder: Path, case: str, title: str, seed: int, begin: Callable[[str], object]
 ) -> tuple[RigRun, Analysis]:
     """Analyse one test as `run` does, and leave its series and its models."""
-    from classic_ml.io.series import write_series
-    from comparisons.analysis import analyse
-    from comparisons.harness.saved_models import save_models
-
-    begin(f"{title}: simulating the test")
+    begin(f"{title}: simulating the test; the first run of all compiles for some seconds")
     rig, raw = _simulated(folder, case, seed)
     files = raw / "raw.csv", raw / "test.toml"
     found = analyse(*files, begin=lambda step: begin(f"{title}: {step}"))
@@ -101,10 +95,6 @@ def _analysed(
 
 def _against_truth(title: str, found: Analysis, psi_p: Truth, psi: Truth) -> list[str]:
     """Say how far τ and curves are from those that the rig was made with."""
-    import numpy as np
-
-    from comparisons.show.report import truth_list
-
     bullets = truth_list(found.comparison, psi_p)
     lines = [f"{title}, ψ': {bullets.heading}", *(f"  {item}" for item in bullets.items)]
     work = found.work
@@ -121,11 +111,6 @@ def _against_truth(title: str, found: Analysis, psi_p: Truth, psi: Truth) -> lis
 
 def _diagnosed(folder: Path, rig: RigRun, reduction: Reduction) -> tuple[ReportSection, str]:
     """Diagnose a record in which an effect is hidden; the picture goes to a file too."""
-    from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.report import diagnosis_parts
-    from comparisons.page.blocks import Picture
-    from comparisons.show.report import ReportSection
-
     d = diagnose([reduction.series])
     parts = diagnosis_parts(d)
     picture = next(b for part in parts for b in part.blocks if isinstance(b, Picture))
@@ -143,10 +128,6 @@ def _reduced(
     folder: Path, case: str, seed: int, hide: str | None = None
 ) -> tuple[RigRun, Reduction]:
     """Simulate one test and reduce it from its files, as a real record is."""
-    from classic_ml.io import read_raw
-    from classic_ml.io.series import write_series
-    from classic_ml.reduction import reduce_record
-
     rig, raw = _simulated(folder, case, seed, hide)
     reduction = reduce_record(*read_raw(raw / "raw.csv", raw / "test.toml"))
     write_series(reduction.series, folder / f"series_{raw.name.removeprefix('raw_')}.csv")
@@ -155,8 +136,6 @@ def _reduced(
 
 def _simulated(folder: Path, case: str, seed: int, hide: str | None = None) -> tuple[RigRun, Path]:
     """Simulate one test and write its files; return the folder with them too."""
-    from comparisons.rig import simulate, write_run
-
     rig = simulate(case, seed=seed, hide=hide)
     raw = folder / (f"raw_{case}" if hide is None else f"raw_{case}-altered")
     # What an earlier demo left here is removed, and nothing else.
@@ -168,10 +147,6 @@ def _simulated(folder: Path, case: str, seed: int, hide: str | None = None) -> t
 
 def _truth(rig: RigRun, target: str) -> Truth:
     """Return the rig's own in-stall characteristic over forward flow."""
-    import numpy as np
-
-    from comparisons.results import Truth
-
     phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
     known = rig.truth_parameters
     if target == "psi_p":
@@ -181,17 +156,3 @@ def _truth(rig: RigRun, target: str) -> Truth:
         rises = np.cumsum([0.0, *(known["psi_slopes"] * np.diff(bends))])
         curve = np.interp(phi, bends, known["psi_intercept"] + rises)
     return Truth(float(known["tau_s"]), phi, curve, "truth of the simulated rig")
-
-
-COMMAND = Command(
-    "demo",
-    help="simulate a surge test, reduce it, fit both estimators, write a report",
-    description="Simulate an E3-like surge test at 98.5 % and 90 % speed, reduce the raw "
-    "counts, run the estimators, look for a hidden effect and write one HTML report.",
-    arguments=(
-        argument("--out", type=Path, default=Path("demo"), help="folder (default: demo)"),
-        # The second test has the next seed.
-        seed(highest=2**32 - 2),
-    ),
-    run=_run,
-)

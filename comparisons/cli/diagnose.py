@@ -5,27 +5,34 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import Command, command_line, measuring, read_records, write_asked
-from comparisons.cli.options import JSON, NO_TWINS, REPORT, argument, reads, whole, writes
+from joblib import cpu_count
+
+from classic_ml.series import CoefficientSeries
+from comparisons.cli.commands_records import (
+    DEFAULT_DEGREE,
+    DEFAULT_MODEL_EFFECTS,
+    MOST_EFFECTS,
+    MOST_MODEL_EFFECTS,
+)
+from comparisons.cli.output import command_line, measuring, read_records, write_asked
+from comparisons.harness.cautions import lacks_ledger
+from comparisons.missing_effect import diagnose
+from comparisons.missing_effect.document import diagnosis_document
+from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
+from comparisons.missing_effect.whole_runs import N_TWINS
 from surge_core.errors import InputError
 from surge_core.progress import shown_over, shown_steps
 
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from comparisons.missing_effect.lag_result import LagDiagnosis
-
-HIGHEST_DEGREE, DEFAULT_DEGREE = 8, 2
-# More is no missing effect any more but another model.
-MOST_EFFECTS = 3
-DEFAULT_MODEL_EFFECTS, MOST_MODEL_EFFECTS = 4, 6
 # Arguments that only the diagnosis of a compressor knows, and only that of a user's own model.
 OF_COMPRESSOR = ("series", "degree", "base", "limits", "separate", "save", "no_twins")
 OF_MODEL = ("fit", "check")
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Diagnose a compressor, or a model of the user's own."""
     _check_options(given)
     return _compressor(given) if given.model is None else _model(given)
 
@@ -70,12 +77,6 @@ def _check_options(given: argparse.Namespace) -> None:
 
 def _compressor(given: argparse.Namespace) -> list[str]:
     """Diagnose series and return what is printed."""
-    from comparisons.harness.cautions import lacks_ledger
-    from comparisons.missing_effect import diagnose
-    from comparisons.missing_effect.document import diagnosis_document
-    from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
-    from comparisons.missing_effect.whole_runs import N_TWINS
-
     # How long each lasts as a rule, in seconds, on a record of four seconds.
     searched = [3.0] * (given.base == "sindy")
     beyond = [100.0] * (given.limits + given.separate)
@@ -137,8 +138,6 @@ def _asked_beyond(
     """Return what --limits and --separate found; None for what was not asked for."""
     limits = separation = None
     if given.limits:
-        from joblib import cpu_count
-
         from comparisons.missing_effect.limits import planted_limits
 
         begin("planting effects")
@@ -169,8 +168,6 @@ def _saved(d: LagDiagnosis, path: Path) -> str:
 
 def _model(given: argparse.Namespace) -> list[str]:
     """Diagnose a user's own model, whose file is executed, and return what is printed."""
-    from comparisons.missing_effect.document import diagnosis_document
-    from comparisons.missing_effect.report import diagnosis_report, diagnosis_text
     from comparisons.missing_effect.script import FITS
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
@@ -189,60 +186,3 @@ def _model(given: argparse.Namespace) -> list[str]:
             report=lambda: diagnosis_report({d.title: d}, command_line()),
         )
     return [diagnosis_text(d), *([""] if written else []), *written]
-
-
-_RECORDS: dict[str, Any] = {"nargs": "+", "default": [], "metavar": "RECORD"}
-COMMAND = Command(
-    "diagnose",
-    help="find where a model and the records part, and name what is missing",
-    description="Fit the lag model, find where its free run and the measurement part, name the "
-    "physical effect that is missing, add it, and show on rows that were held out how far the "
-    "gap shrinks; or say that nothing is missing, that several names fit alike, or that "
-    "something is there without a name. Several records show more than one: the last is never "
-    "fitted. With --model the same is asked of a simulation model of your own, of any system: "
-    "the file is executed, the records of --fit are fitted, and those of --check are only "
-    "simulated.",
-    arguments=(
-        reads("series", nargs="*", metavar="SERIES", help="series (.csv or .nc)"),
-        reads("--model", metavar="model.py", help="your own model, a Python file; executed"),
-        reads(
-            "--fit", help="records for --model (.csv, .mat, .npz, .nc) that are fitted", **_RECORDS
-        ),
-        reads("--check", help="records for --model that are only simulated", **_RECORDS),
-        JSON,
-        REPORT,
-        writes("--save", metavar="MODEL", help="save the model with what was added"),
-        argument(
-            "--degree",
-            type=whole(1, HIGHEST_DEGREE),
-            metavar="N",
-            help=f"degree of the base characteristic (default: {DEFAULT_DEGREE})",
-        ),
-        argument(
-            "--base",
-            choices=("polynomial", "sindy"),
-            help="base terms: powers of φ up to --degree, or those that the sparse regression "
-            "discovers on the fitted rows (default: polynomial)",
-        ),
-        argument(
-            "--limits",
-            action="store_true",
-            help="plant each effect into these records and say how small it may be and still be "
-            "named; takes minutes",
-        ),
-        argument(
-            "--separate",
-            action="store_true",
-            help="say which further measurement would separate the names of an alias set",
-        ),
-        NO_TWINS,
-        argument(
-            "--max-effects",
-            type=int,
-            metavar="N",
-            help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
-            f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",
-        ),
-    ),
-    run=_run,
-)

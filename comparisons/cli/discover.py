@@ -5,29 +5,34 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import Command, command_line, write_asked
-from comparisons.cli.options import JSON, REPORT, argument, reads
+import numpy as np
+import pysindy as ps
+
+from classic_ml.description import FileLayout
+from classic_ml.io.csv import open_csv
+from classic_ml.io.series import read_series
+from comparisons.cli.discover_loop import (
+    discover_series_loop,
+    loop_document,
+    loop_parts,
+    loop_text,
+)
+from comparisons.cli.output import command_line, page, write_asked
+from comparisons.show.discover_output import discover_document, discover_report, discover_text
+from sindy_surge import SparseDynamics
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
-
-if TYPE_CHECKING:
-    from surge_core.types import FloatArray
+from surge_core.types import FloatArray
 
 TIME = "time_s"
 FUNCTIONS = ("sqrt", "sin", "cos", "abs")
 HIGHEST_DEGREE = 6
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from comparisons.show.discover_output import (
-        discover_document,
-        discover_report,
-        discover_text,
-    )
-    from sindy_surge import SparseDynamics
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Find the equations behind measured states, or the loop behind a series."""
     if given.loop:
         return _loop(given)
     if not given.states:
@@ -64,15 +69,6 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
 
 def _loop(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.io.series import read_series
-    from comparisons.cli.discover_loop import (
-        discover_series_loop,
-        loop_document,
-        loop_parts,
-        loop_text,
-    )
-    from comparisons.page.html import render_page
-
     if len(given.files) != 1:
         raise InputError("--loop", expected="one series", found=f"{len(given.files)} files")
     path = given.files[0]
@@ -82,13 +78,11 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
         begin("finding branches, levels and lag")
         found = discover_series_loop(series)
         begin("writing")
-        title = f"Surge loop of {path.name}"
+        section = path.name, loop_parts(found, path.name)
         written = write_asked(
             given,
             json=lambda: loop_document(found),
-            report=lambda: render_page(
-                [(path.name, loop_parts(found, path.name))], title=title, command=command_line()
-            ),
+            report=lambda: page(f"Surge loop of {path.name}", [section]),
         )
     return *loop_text(found), *written
 
@@ -104,11 +98,6 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 
 def _table(path: Path, columns: Sequence[str]) -> FloatArray:
     """Return time and columns of a CSV file, (n_rows, 1 + n_columns)."""
-    import numpy as np
-
-    from classic_ml.description import FileLayout
-    from classic_ml.io.csv import open_csv
-
     wanted = (TIME, *columns)
     with open_csv(path, FileLayout()) as stored:
         if missing := [name for name in wanted if name not in stored.names]:
@@ -142,9 +131,6 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
 
 def _library(text: str, names: Sequence[str]) -> Any:
     """Return the library that a specification such as ``poly3+sqrt(psi)`` names."""
-    import numpy as np
-    import pysindy as ps
-
     parts, columns = [], []
     for part in text.replace(" ", "").split("+"):
         function, _, inner = part.rstrip(")").partition("(")
@@ -189,48 +175,3 @@ def _known(text: str) -> tuple[str, dict[str, float]]:
         raise InputError(
             "--known", expected="an equation such as 'phi: psi_c=1.8, psi=-1.8'", found=text
         ) from None
-
-
-COMMAND = Command(
-    "discover",
-    help="the equations of any measured system",
-    description="Find dx/dt = Θ(x, u) Ξ from noisy measurements of the states: which terms of a "
-    "library each equation has, their coefficients and errors, and the models that the data "
-    "cannot separate from it. Several files are several trajectories. SparseDynamics takes any "
-    "pysindy library, optimizer and differentiation in Python.",
-    arguments=(
-        reads("files", nargs="+", metavar="FILE", help="CSV with time_s and a column per state"),
-        argument("--states", default="", metavar="x,v", help="columns that are states"),
-        argument(
-            "--loop",
-            action="store_true",
-            help="FILE is a reduced series: find the surge loop behind it, with one branch of the "
-            "characteristic or two",
-        ),
-        argument("--inputs", default="", metavar="u", help="columns that are inputs"),
-        argument(
-            "--library",
-            default="poly3",
-            metavar="SPEC",
-            help="candidate terms, such as poly3+sqrt(psi) (default: poly3)",
-        ),
-        argument("--hidden", default="", metavar="h", help="states that were not measured"),
-        argument(
-            "--known",
-            action="append",
-            default=[],
-            metavar="EQUATION",
-            help="an equation that is given, such as 'phi: psi_c=1.8, psi=-1.8'; one of a "
-            "measured state must hold each hidden state",
-        ),
-        argument(
-            "--search",
-            choices=("full", "optimizer"),
-            default="full",
-            help="go on from what the optimizer proposes, or keep it (default: full)",
-        ),
-        JSON,
-        REPORT,
-    ),
-    run=_run,
-)

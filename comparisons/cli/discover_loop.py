@@ -3,43 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from classic_ml.series import CoefficientSeries
 from comparisons.page.blocks import Head, Part, Table, Words
+from sindy_surge.discover.loop_balance import Balance
+from sindy_surge.discover.loop_lag import Branch
+from sindy_surge.discover.loops import SurgeLoop, discover_loop
 from surge_core.fit_state import FitState
 from surge_core.terms import terms_json
-
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from sindy_surge.discover.loop_balance import Balance
-    from sindy_surge.discover.loop_lag import Branch
-    from sindy_surge.discover.loops import SurgeLoop
 
 
 def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = None) -> SurgeLoop:
     """Discover the loop of a reduced record, from its unfiltered columns where it has them.
 
-    Parameters
-    ----------
-    series : CoefficientSeries
-        The record; the rows of its free run count where they are marked.
-    plenum : ndarray of shape (n_rows,), optional
-        Plenum pressure; hidden without it.
-
-    Returns
-    -------
-    SurgeLoop
-        The loop.
-
-    Raises
-    ------
-    InputError
-        If the record has too few surge cycles.
+    The rows of its free run count where they are marked; without ``plenum``, of shape (n_rows,),
+    the pressure of the plenum is hidden.
     """
-    from sindy_surge.discover.loops import discover_loop
-
     phi, psi_p = series.phi, series.psi_p
     if series.phi_unfiltered is not None and series.psi_p_unfiltered is not None:
         phi, psi_p = series.phi_unfiltered, series.psi_p_unfiltered

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 LONGEST_TAU_S = 10.0
+SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 
 
@@ -26,8 +27,8 @@ class Argument:
         Further arguments of ``add_argument``.
     read : bool
         A file that must exist.
-    written : bool
-        A file that is written.
+    written, folder : bool
+        A file that is written; a folder to write to, which need not exist.
     suffixes : tuple of str
         Those that a written file may have; any where none are listed.
     """
@@ -36,6 +37,7 @@ class Argument:
     details: dict[str, Any]
     read: bool = False
     written: bool = False
+    folder: bool = False
     suffixes: tuple[str, ...] = ()
 
     @property
@@ -65,14 +67,13 @@ def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details:
     return Argument(flags, details, written=True, suffixes=suffixes)
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return a type of options: whole numbers within limits.
+def folder(*flags: str, **details: Any) -> Argument:
+    """Return an argument for a folder to write to, which need not exist yet."""
+    return Argument(flags, {"type": Path, "metavar": "DIR", **details}, folder=True)
 
-    Parameters
-    ----------
-    low, high : int
-        The least and the greatest that is taken.
-    """
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return a type of options: whole numbers within limits, both of which are taken."""
 
     def read(text: str) -> int:
         try:
@@ -99,13 +100,7 @@ def number(text: str) -> float:
 
 
 def time_constant(text: str) -> float:
-    """Read a time such as ``18ms``, as a type of options; seconds without a unit.
-
-    Parameters
-    ----------
-    text : str
-        What was typed.
-    """
+    """Read a time such as ``18ms``, as a type of options; seconds without a unit."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms|us|µs)?\s*", text)
     try:
         seconds = float(match[1]) * TIME_UNITS[match[2]] if match else math.nan
@@ -138,10 +133,8 @@ JSON = writes("--json", metavar="FILE", help="write the numbers as JSON")
 REPORT = writes(
     "--report", metavar="FILE.html", suffixes=(".html", ".htm"), help="write the report"
 )
-FIGURES = argument(
+FIGURES = folder(
     "--figures",
-    type=Path,
-    metavar="DIR",
     help="write every picture of the page as SVG and PDF, every table as CSV and LaTeX, and the "
     "characteristic as a lookup table (CSV, JSON)",
 )
@@ -165,4 +158,49 @@ NO_TWINS = argument(
     help="do not measure twins of the records from raw counts: twice as quick, but the interval of "
     "τ lacks the errors of calibration and of noise near zero flow, and every name of a missing "
     "effect is provisional",
+)
+# The options of a reduction, which `live` has too; each is stored under the name of the field of
+# the settings behind it.
+REDUCTION = (
+    argument(
+        "--filter-order",
+        type=whole(1, 99),
+        metavar="N",
+        help="Butterworth order, 3 or 5 (default: 3)",
+    ),
+    argument(
+        "--cutoff",
+        dest="cutoff_hz",
+        type=number,
+        metavar="HZ",
+        help="filter cut-off (default: 48)",
+    ),
+    argument(
+        "--phase",
+        choices=("zero", "causal", "none"),
+        help="filter direction (default: zero)",
+    ),
+    argument(
+        "--invert-thermocouples",
+        dest="thermocouple_inversion",
+        action="store_const",
+        const=True,
+        help="undo the lag of the thermocouples",
+    ),
+    argument(
+        "--threshold",
+        dest="threshold_lbm_s",
+        type=number,
+        metavar="LBM_S",
+        help="corrected flow below which the machine is in stall (default: test.toml's, else "
+        "estimated from the record)",
+    ),
+    argument(
+        "--window",
+        dest="window_s",
+        type=number,
+        nargs=2,
+        metavar=("FROM_S", "TO_S"),
+        help="window of the quasi-steady cycles, else from test.toml, else found",
+    ),
 )

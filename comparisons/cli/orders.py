@@ -6,15 +6,15 @@ import argparse
 import textwrap
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import Command, read_records, write_asked
-from comparisons.cli.options import JSON, SERIES, argument, whole
+from classic_ml.orders import OrderTable, select_order
+from comparisons.cli.output import read_records, write_asked
+from comparisons.harness.cautions import tau_caution
+from comparisons.harness.rows import stack_rows
+from comparisons.results import Caution
 from surge_core.progress import shown_over
-
-if TYPE_CHECKING:
-    from classic_ml.orders import OrderTable
-    from comparisons.results import Caution
+from surge_core.rounding import round_to_error
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
@@ -25,11 +25,8 @@ NO_TAU = (
 )
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.orders import select_order
-    from comparisons.harness.cautions import tau_caution
-    from comparisons.harness.rows import stack_rows
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Fit every combination and rank them."""
     records = read_records(given.series)
     rows = stack_rows(records)
     table = select_order(
@@ -49,8 +46,6 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
 def _lines(table: OrderTable, *, biased: bool) -> list[str]:
     """Return the best rows as text, the recommended one marked unless its τ is biased."""
-    from surge_core.rounding import round_to_error
-
     lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
     shown = table.rows[:ROWS_SHOWN]
     if table.recommended not in shown:
@@ -91,33 +86,3 @@ def _document(table: OrderTable, sources: list[str], caution: Caution | None) ->
         "ties": [asdict(row) for row in table.ties],
         "rows": [asdict(row) for row in table.rows],
     }
-
-
-COMMAND = Command(
-    "orders",
-    help="choose noise model, order of C, input lag and degree",
-    description="Fit every combination of noise model (arx, armax, output error), order of C, "
-    "whole-sample lag of φ and degree of the characteristic to the rows of a series, and rank "
-    "them by BIC and by the later cycles.",
-    arguments=(
-        SERIES,
-        argument(
-            "--degrees",
-            type=whole(0, 12),
-            nargs="+",
-            default=[1, 2, 3],
-            metavar="N",
-            help="(default: 1 2 3)",
-        ),
-        argument(
-            "--lags",
-            type=whole(0, 10_000),
-            nargs="+",
-            default=[0, 1, 2],
-            metavar="K",
-            help="(default: 0 1 2)",
-        ),
-        JSON,
-    ),
-    run=_run,
-)

@@ -10,25 +10,8 @@ from importlib.metadata import version
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from comparisons.cli import (
-    bench,
-    compare,
-    demo,
-    diagnose,
-    discover,
-    inspect,
-    live,
-    orders,
-    reconstruct,
-    reduce,
-    reproduce,
-    run,
-    simulate,
-    structure,
-    study,
-    total_system,
-    work,
-)
+from comparisons.cli import commands_records, commands_rigs
+from comparisons.cli.commands_live import LIVE
 from surge_core.errors import InputError
 
 EXIT_DONE = 0
@@ -40,23 +23,23 @@ LONGEST = 1400
 
 # In the order of `--help`.
 COMMANDS = (
-    demo.COMMAND,
-    run.COMMAND,
-    simulate.COMMAND,
-    inspect.COMMAND,
-    reduce.COMMAND,
-    live.COMMAND,
-    compare.COMMAND,
-    reconstruct.COMMAND,
-    diagnose.COMMAND,
-    work.COMMAND,
-    orders.COMMAND,
-    structure.COMMAND,
-    discover.COMMAND,
-    reproduce.COMMAND,
-    study.COMMAND,
-    bench.COMMAND,
-    total_system.COMMAND,
+    commands_rigs.DEMO,
+    commands_records.RUN,
+    commands_rigs.SIMULATE,
+    commands_records.INSPECT,
+    commands_records.REDUCE,
+    LIVE,
+    commands_records.COMPARE,
+    commands_records.RECONSTRUCT,
+    commands_records.DIAGNOSE,
+    commands_records.WORK,
+    commands_records.ORDERS,
+    commands_records.STRUCTURE,
+    commands_records.DISCOVER,
+    commands_rigs.REPRODUCE,
+    commands_rigs.STUDY,
+    commands_rigs.BENCH,
+    commands_rigs.TOTAL_SYSTEM,
 )
 
 

@@ -5,24 +5,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import Command, command_line, drawing, write_asked
-from comparisons.cli.options import JSON, REPORT, SERIES, argument, reads, writes
+from classic_ml.io.series import read_series
+from comparisons.cli.output import page, write_asked
+from comparisons.cli.saved_models import load_any_models
+from comparisons.harness.reconstruction import validate_models
+from comparisons.harness.saved_models import about_models
+from comparisons.results import Reconstruction
+from comparisons.show.report import ReportSection, report_pages
+from comparisons.show.table import reconstruction_table
 from surge_core.errors import InputError
 from surge_core.progress import shown_over
 
-if TYPE_CHECKING:
-    from comparisons.results import Reconstruction
 
-
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.io.series import read_series
-    from comparisons.cli.saved_models import load_any_models
-    from comparisons.harness.reconstruction import validate_models
-    from comparisons.harness.saved_models import about_models
-    from comparisons.show.table import reconstruction_table
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Run saved models over records, and score them."""
     models, only = load_any_models(given.model), given.estimator
     if only not in (None, *models):
         raise InputError("--estimator", expected="one of " + ", ".join(models), found=only)
@@ -62,8 +60,6 @@ def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[s
 
 
 def _page(runs: Sequence[Reconstruction]) -> str:
-    from comparisons.show.report import ReportSection, render_report
-
     by_record: dict[str, list[Reconstruction]] = {}
     for each in runs:
         by_record.setdefault(each.record.source, []).append(each)
@@ -71,33 +67,4 @@ def _page(runs: Sequence[Reconstruction]) -> str:
         ReportSection(title=Path(source).name, validation=tuple(group))
         for source, group in by_record.items()
     ]
-    return render_report(sections, title="Reconstruction", command=command_line(), progress=drawing)
-
-
-COMMAND = Command(
-    "reconstruct",
-    help="run a saved model over another record",
-    description="Run models saved by `compare --save` or `diagnose --save` over other records, "
-    "with nothing refitted: the error on rows of the kind that each was fitted to, the share of "
-    "them inside its 95 % band, and which lie beyond the φ of the fit.",
-    arguments=(
-        reads("model", metavar="MODEL", help="saved by compare --save or diagnose --save"),
-        SERIES,
-        argument(
-            "--estimator",
-            metavar="NAME",
-            help="classic_ml, paper, classic_ml_arx, classic_ml_output_error or sindy; all "
-            "without it",
-        ),
-        writes(
-            "-o",
-            "--out",
-            metavar="FILE.csv",
-            suffixes=(".csv",),
-            help="write the reconstruction (of one record by one estimator)",
-        ),
-        JSON,
-        REPORT,
-    ),
-    run=_run,
-)
+    return page("Reconstruction", report_pages(sections))

@@ -8,75 +8,25 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from comparisons.cli.command import Command, command_line, drawing, write_asked
-from comparisons.cli.options import RAW, argument, number, whole, writes
+from classic_ml.io import read_raw
+from classic_ml.io.series import write_series
+from classic_ml.records import ledger_lines
+from classic_ml.reduction import STEPS, Reduction, reduce_record
+from classic_ml.reduction_settings import ReductionSettings
+from comparisons.cli.commands_records import REPORT_ROWS
+from comparisons.cli.options import REDUCTION
+from comparisons.cli.output import page, write_asked
+from comparisons.show.report import ReportSection, report_pages
 from surge_core.errors import InputError
 from surge_core.progress import shown_count
 
-if TYPE_CHECKING:
-    from classic_ml.reduction import Reduction
-    from classic_ml.reduction_settings import ReductionSettings
-
-SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
-# More points than this only blacken a picture: 100 s at 1 kHz.
-REPORT_ROWS = 100_000
-
-
 # What only a filter has.
 FILTER = ("cutoff_hz", "filter_order")
-# The options of a reduction, which `live` has too; each is stored under the name of the field of
-# the settings behind it.
-REDUCTION = (
-    argument(
-        "--filter-order",
-        type=whole(1, 99),
-        metavar="N",
-        help="Butterworth order, 3 or 5 (default: 3)",
-    ),
-    argument(
-        "--cutoff",
-        dest="cutoff_hz",
-        type=number,
-        metavar="HZ",
-        help="filter cut-off (default: 48)",
-    ),
-    argument(
-        "--phase",
-        choices=("zero", "causal", "none"),
-        help="filter direction (default: zero)",
-    ),
-    argument(
-        "--invert-thermocouples",
-        dest="thermocouple_inversion",
-        action="store_const",
-        const=True,
-        help="undo the lag of the thermocouples",
-    ),
-    argument(
-        "--threshold",
-        dest="threshold_lbm_s",
-        type=number,
-        metavar="LBM_S",
-        help="corrected flow below which the machine is in stall (default: test.toml's, else "
-        "estimated from the record)",
-    ),
-    argument(
-        "--window",
-        dest="window_s",
-        type=number,
-        nargs=2,
-        metavar=("FROM_S", "TO_S"),
-        help="window of the quasi-steady cycles, else from test.toml, else found",
-    ),
-)
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.io.series import write_series
-    from classic_ml.records import ledger_lines
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Reduce a raw record to its series."""
     with options_named():
         settings = reduction_settings(given)
         reduction = _reduced(given.raw, given.test, settings, _part(given))
@@ -100,9 +50,6 @@ def _reduced(
     raw: Path, test: Path, settings: ReductionSettings, window: tuple[float, float] | None
 ) -> Reduction:
     """Read a raw record, or a window of it in seconds of its clock, and reduce it."""
-    from classic_ml.io import read_raw
-    from classic_ml.reduction import STEPS, reduce_record
-
     with shown_count("reading", unit="row") as read:
         *records, description = read_raw(raw, test, window=window, progress=read)
     with shown_count("reducing", unit="step", total=STEPS) as done:
@@ -111,16 +58,10 @@ def _reduced(
 
 
 def _page(reduction: Reduction) -> str:
-    from comparisons.show.report import ReportSection, render_report
-
     drawn, part = _excerpt(reduction)
     name = reduction.test.name
-    return render_report(
-        [ReportSection(title=f"{name}{part}", reduction=drawn)],
-        title=f"Reduction of {name}",
-        command=command_line(),
-        progress=drawing,
-    )
+    section = ReportSection(title=f"{name}{part}", reduction=drawn)
+    return page(f"Reduction of {name}", report_pages([section]))
 
 
 def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
@@ -140,18 +81,8 @@ def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
 def reduction_settings(given: argparse.Namespace) -> ReductionSettings:
     """Take over what was given; the rest keeps the defaults of the reduction.
 
-    Parameters
-    ----------
-    given : argparse.Namespace
-        With the arguments of ``REDUCTION``.
-
-    Raises
-    ------
-    InputError
-        Naming the field of the settings; :func:`options_named` makes the option of it.
+    An error names the field of the settings: :func:`options_named` makes the option of it.
     """
-    from classic_ml.reduction_settings import ReductionSettings
-
     fields = {each.name: getattr(given, each.name) for each in REDUCTION}
     for each in REDUCTION:
         stated = fields[each.name]
@@ -180,35 +111,3 @@ def options_named() -> Iterator[None]:
         raise InputError(
             options[field], expected=error.expected, found=error.found, remedy=error.remedy
         ) from None
-
-
-_PART = "of the part of the file that is read, on its clock; the near-stall reading is read with it"
-COMMAND = Command(
-    "reduce",
-    help="raw counts to φ, ψ' and ψ",
-    description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ and "
-    "the intervals to be fitted.",
-    arguments=(
-        *RAW,
-        writes(
-            "-o",
-            "--out",
-            required=True,
-            metavar="SERIES",
-            suffixes=SERIES_SUFFIXES,
-            help="series (.csv or .nc)",
-        ),
-        argument(
-            "--from-s", type=float, metavar="SECONDS", help=f"start {_PART} (default: all of it)"
-        ),
-        argument("--to-s", type=float, metavar="SECONDS", help=f"end {_PART} (default: all of it)"),
-        *REDUCTION,
-        writes(
-            "--report",
-            metavar="FILE.html",
-            suffixes=(".html", ".htm"),
-            help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
-        ),
-    ),
-    run=_run,
-)

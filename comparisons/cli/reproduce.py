@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from comparisons.cli.command import Command, command_line, write_asked
-from comparisons.cli.options import JSON, REPORT, seed
+from comparisons.cli.output import page, write_asked
+from comparisons.page.blocks import Part, Picture, Words
+from comparisons.paper.claim import Claim, claims_block, claims_json, claims_table
+from comparisons.paper.claims import check_claims
+from comparisons.paper.figures import draw_figures
+from comparisons.paper.instabilities import run_instabilities, run_machines
+from comparisons.show.report import ReportSection, report_pages
 from surge_core.progress import shown_over
-
-if TYPE_CHECKING:
-    from comparisons.page.blocks import Picture
-    from comparisons.paper.claim import Claim
-    from comparisons.show.report import ReportSection
 
 # Machines drawn about the paper's, on which claims are tested as well.
 MACHINES = 4
@@ -29,23 +29,18 @@ ABOUT = (
 )
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from comparisons.paper.claim import claims_json, claims_table
-    from comparisons.paper.claims import check_claims
-    from comparisons.paper.figures import draw_figures
-    from comparisons.paper.instabilities import run_instabilities, run_machines
-    from comparisons.show.report import render_report
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Run the tests, and check each claim on them."""
     runs = run_instabilities(given.seed, shown_over)
     others = run_machines(MACHINES, given.seed, shown_over)
     claims = check_claims(runs, others, shown_over)
 
-    def page() -> str:
+    def report() -> str:
         sections = claims_sections(claims, draw_figures(runs), shown_over)
-        return render_report(sections, title="The paper, claim by claim", command=command_line())
+        return page("The paper, claim by claim", report_pages(sections))
 
     yield claims_table(claims)
-    yield from write_asked(given, json=lambda: claims_json(claims), report=page)
+    yield from write_asked(given, json=lambda: claims_json(claims), report=report)
 
 
 def claims_sections(
@@ -53,32 +48,7 @@ def claims_sections(
     pictures: Sequence[Picture],
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> tuple[ReportSection, ...]:
-    """Return the sections of the page: the claims and the pictures.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    pictures : sequence of Picture
-        Counterparts of the paper's figures.
-    progress : callable
-        Wraps the iteration over the pictures, to show how far it is.
-    """
-    from comparisons.page.blocks import Part, Words
-    from comparisons.paper.claim import claims_block
-    from comparisons.show.report import ReportSection
-
+    """Return the sections of the page: the claims, and the counterparts of the paper's figures."""
     table = Part("Table", (Words(ABOUT, "quiet"), claims_block(claims)))
     shown = tuple(Part(picture.title, (picture,)) for picture in progress(pictures))
     return ReportSection("Claims", extra=(table,)), ReportSection("Figures", extra=shown)
-
-
-COMMAND = Command(
-    "reproduce",
-    help="check the paper claim by claim on four simulated instabilities",
-    description="Simulate the paper's four instabilities and its steady rotating stall, reduce "
-    "the raw counts and fit them the paper's way, and print each claim of the paper with the "
-    "number it states, the number found and whether it holds.",
-    arguments=(JSON, REPORT, seed()),
-    run=_run,
-)

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from comparisons.cli.command import Command, command_line
-from comparisons.cli.options import argument, whole
+import pandas as pd
+from joblib import cpu_count
+
+from comparisons.cli.output import command_line
+from comparisons.study.comparison import compare_scores
+from comparisons.study.design import cells_of
+from comparisons.study.report import render_study_report
+from comparisons.study.run import RESULTS, check_study, run_study
+from comparisons.study.spec import StudySpec, read_spec
 from surge_core.errors import InputError
+from surge_core.files import write_whole
 from surge_core.progress import shown_count
 
-if TYPE_CHECKING:
-    import pandas as pd
 
-    from comparisons.study.spec import StudySpec
-
-
-def _run(given: argparse.Namespace) -> Iterator[str]:
-    from comparisons.study.comparison import compare_scores
-    from comparisons.study.design import cells_of
-    from comparisons.study.report import render_study_report
-    from comparisons.study.run import RESULTS, check_study
-    from comparisons.study.spec import read_spec
-    from surge_core.files import write_whole
-
+def run(given: argparse.Namespace) -> Iterator[str]:
+    """Run every cell of a study, and compare the methods."""
     spec = read_spec(given.spec)
     if not given.dry_run:
         check_study(spec, given.out, resume=given.resume)
@@ -58,44 +53,7 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
 
 def run_cells(given: argparse.Namespace, spec: StudySpec) -> pd.DataFrame:
     """Run the cells of a study with the options of ``OF_CELLS``; return all fits as a table."""
-    from joblib import cpu_count
-
-    from comparisons.study.design import cells_of
-    from comparisons.study.run import run_study
-
     jobs = given.jobs or cpu_count()
     options = {"jobs": jobs, "scheduler": given.scheduler, "resume": given.resume}
     with shown_count(unit="fit", total=len(cells_of(spec))) as progress:
         return run_study(spec, given.out, **options, progress=progress)
-
-
-# How the cells of a study are run, `bench` among them.
-OF_CELLS = (
-    argument("--resume", action="store_true", help="go on with what is in DIR; finished fits stay"),
-    argument(
-        "--jobs",
-        type=whole(1, 1024),
-        default=0,
-        metavar="N",
-        help="worker processes on this machine (default: one a core; 1: none)",
-    ),
-    argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers do the work instead",
-    ),
-)
-COMMAND = Command(
-    "study",
-    help="compare methods over a declared design: thousands of fits into one table",
-    description="Run every cell of a study: DIR/results.parquet with one row a fit and "
-    "DIR/report.html. Finished cells are kept in DIR/cells.jsonl as they come; --resume runs "
-    "the rest, and those that failed.",
-    arguments=(
-        argument("spec", type=Path, metavar="SPEC.toml", help="what is compared over what"),
-        argument("--out", type=Path, required=True, metavar="DIR", help="folder"),
-        *OF_CELLS,
-        argument("--dry-run", action="store_true", help="say how many cells there are, and stop"),
-    ),
-    run=_run,
-)

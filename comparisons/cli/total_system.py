@@ -5,20 +5,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 
-from comparisons.cli.command import Command, write_asked
-from comparisons.cli.options import JSON, RAW, argument, reads, writes
+from classic_ml.io import read_raw
+from comparisons import total_system as method
+from comparisons.cli.output import write_asked
+from comparisons.total_system.facility import facility_of_case, rig_case_of_test
+from comparisons.total_system.sensitivity import N_ROWS
 from surge_core.errors import InputError
 from surge_core.progress import shown_count, shown_steps
 
 TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.io import read_raw
-    from comparisons import total_system as method
-    from comparisons.total_system.facility import facility_of_case, rig_case_of_test
-    from comparisons.total_system.sensitivity import N_ROWS
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Fit the model of the whole facility to a raw record."""
     record, test = read_raw(given.raw, given.test)
     case = rig_case_of_test(test.name)
     if given.facility is not None:
@@ -53,33 +52,3 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     )
     table = [f"\n{method.sensitivity_table(rows)}"] if rows else []
     return f"record:   {record.source}\nfacility: {origin}\n\n{fit}", *table, *written
-
-
-COMMAND = Command(
-    "total-system",
-    help="fit a lumped model of the whole facility, the rival of the component method",
-    description="Simulate compressor, plenums, throttle and supply, and adjust the characteristic "
-    "and the time constant until P31, P25 and W25 agree with the measured ones. Needs the "
-    "facility's numbers and the surge start, which the component method does not.",
-    arguments=(
-        *RAW,
-        reads(
-            "--facility",
-            metavar="FILE.toml",
-            help="the facility's numbers; may be left out for a record of `simulate`",
-        ),
-        writes(
-            "--save-facility",
-            metavar="FILE.toml",
-            help="write the facility's numbers that were used, as a pattern for one's own",
-        ),
-        argument(
-            "--table",
-            action="store_true",
-            help="table of what wrong starts (2, 10, 40 ms) and a wrong volume (10 %%) do to this "
-            "method and to the component method; takes a minute",
-        ),
-        JSON,
-    ),
-    run=_run,
-)

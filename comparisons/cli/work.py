@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 
-from comparisons.cli.command import Command, fitting, write_asked
-from comparisons.cli.options import JSON, RAW, argument, number, time_constant
+from classic_ml.io import read_raw
+from comparisons.cli.output import fitting, write_asked
+from comparisons.harness.work_fit import fit_work
+from comparisons.show.work_output import work_document, work_table
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
 
-def _run(given: argparse.Namespace) -> Iterable[str]:
-    from classic_ml.io import read_raw
-    from comparisons.harness.work_fit import fit_work
-    from comparisons.show.work_output import work_document, work_table
-
+def run(given: argparse.Namespace) -> Iterable[str]:
+    """Fit the work characteristic to a raw record."""
     breakpoints = _pair(given.breakpoints)
     with shown_steps([0.3, 3.0]) as begin:
         begin("reading")
@@ -39,25 +38,3 @@ def _pair(values: Iterable[float] | None) -> tuple[float, float] | None:
             found=f"{first:g} {second:g}",
         )
     return first, second
-
-
-COMMAND = Command(
-    "work",
-    help="fit the work characteristic ψ_QS to a raw record with T31",
-    description="Reduce a raw record without a low-pass, undo the lag of the thermocouples and "
-    "fit the piecewise-linear work characteristic of Fig 22 to the power that the blading "
-    "delivers, with rows near zero flow weighted down.",
-    arguments=(
-        *RAW,
-        argument(
-            "--breakpoints",
-            type=number,
-            nargs=2,
-            metavar=("D1", "D2"),
-            help="φ at which the slope changes (default: searched)",
-        ),
-        argument("--tau", type=time_constant, metavar="TAU", help="hold τ, as 18ms"),
-        JSON,
-    ),
-    run=_run,
-)

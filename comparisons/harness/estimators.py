@@ -17,7 +17,10 @@ from classic_ml.whole_record_fit import N_TWINS
 from classic_ml.whole_record_run import fit_whole_records, has_rakes
 from classic_ml.whole_run import fit_whole_runs
 from classic_ml.whole_run_rows import has_whole_run
+from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from comparisons.results import ESTIMATOR_LABELS, FitRows
+from sindy_surge import SparseLagRegressor
+from sindy_surge.library import piecewise_linear_library
 from surge_core.lag import Hold
 
 
@@ -117,9 +120,6 @@ def default_estimators(
         return model.fit(rows.X, rows.measured, segments=rows.labels)
 
     def sparse(rows: FitRows, _: Any) -> Any:
-        from sindy_surge import SparseLagRegressor
-        from sindy_surge.library import piecewise_linear_library
-
         # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` alone looks
         # for them.
         options: dict[str, Any] = {"hold": hold, "psi_terms": False, "output_name": rows.target}
@@ -140,8 +140,6 @@ def default_estimators(
         )
 
     def sparse_whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
-        from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
-
         return fit_sparse_whole_runs(records, hold=hold, until_s=until_s)
 
     def carries(record: CoefficientSeries) -> bool:

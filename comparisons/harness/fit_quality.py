@@ -56,15 +56,7 @@ def trusted_range(phi: FloatArray) -> tuple[float, float]:
 
 
 def dwelt_on(grid: FloatArray, phi: FloatArray) -> BoolArray:
-    """Return where on a grid there are rows nearby, within 2 % of the range of φ.
-
-    Parameters
-    ----------
-    grid : ndarray of shape (n,)
-        Points at which a characteristic is drawn.
-    phi : ndarray of shape (m,)
-        Flow coefficient of the fitted rows.
-    """
+    """Return where on a grid there are rows nearby, within 2 % of the range of their φ."""
     known = np.sort(phi)
     after = np.clip(np.searchsorted(known, grid), 1, known.size - 1)
     nearest = np.minimum(np.abs(grid - known[after - 1]), np.abs(grid - known[after]))

@@ -44,13 +44,7 @@ CURVE = {"terms_": (), "coef_": np.empty(0), "covariance_": np.empty((0, 0))}
 
 
 def method_name(given: str) -> str:
-    """Return what a method is called in a table: the name of its class, or its own.
-
-    Parameters
-    ----------
-    given : str
-        ``module:Class`` or a name.
-    """
+    """Return what a method is called in a table: the name of its class, or its own."""
     return given.rpartition(":")[2]
 
 
@@ -78,13 +72,7 @@ class OwnMethod:
         return self.called or method_name(self.given)
 
     def check(self) -> None:
-        """Refuse, before anything is computed, a class that cannot be had, made or fitted.
-
-        Raises
-        ------
-        InputError
-            Naming the method.
-        """
+        """Refuse, before anything is computed, a class that cannot be had, made or fitted."""
         made = self._made(1e-3)
         lacking = [name for name in ("fit", "predict") if not callable(getattr(made, name, None))]
         if lacking:

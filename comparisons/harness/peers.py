@@ -1,7 +1,7 @@
 """Other people's methods, as one would write them in an afternoon, behind ``fit`` and ``predict``.
 
 Each takes X (n, 1) = φ and y (n,) = ψ' with ``segments`` and simulates from φ; ``start`` is the
-measured ψ' at the first row of each segment. Where a library is not installed, they say which.
+measured ψ' at the first row of each segment.
 """
 
 from __future__ import annotations
@@ -12,8 +12,14 @@ from importlib.util import find_spec
 from typing import Any, Self
 
 import numpy as np
+import pysindy
+from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
-from scipy.signal import lfilter, lfiltic
+from scipy.signal import lfilter
+from sklearn.compose import TransformedTargetRegressor
+from sklearn.neural_network import MLPRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
@@ -25,26 +31,10 @@ LARGEST_C = 0.999
 FARTHEST = 1e3
 
 
-def _needs(module: str, package: str) -> None:
-    if find_spec(module) is None:
-        raise InputError(
-            f"package {package}",
-            expected="it to be installed",
-            found=f"no module {module}",
-            remedy='pip install "sindy-surge[peers]", or leave that --method out',
-        )
-
-
 def _lagged(
     phi: FloatArray, y: FloatArray, segments: IntArray | None, lags: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return inputs (ψ' and φ before, φ now), the ψ' to predict and its rows; no seam is crossed.
-
-    Raises
-    ------
-    InputError
-        Where no segment is long enough.
-    """
+    """Return inputs (ψ', φ before, φ now), the ψ' to predict and its rows; no seam is crossed."""
     runs = runs_of(segments, phi.size)
     known = [np.arange(run.start + lags, run.stop) for run in runs]
     rows = np.concatenate(known).astype(np.int64)
@@ -122,11 +112,6 @@ class NarxNetwork(_Narx):
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        from sklearn.compose import TransformedTargetRegressor
-        from sklearn.neural_network import MLPRegressor
-        from sklearn.pipeline import make_pipeline
-        from sklearn.preprocessing import StandardScaler
-
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
         self.level_ = float(np.mean(target))
         network = MLPRegressor(
@@ -160,13 +145,18 @@ class Frols(_Narx):
     """
 
     def __init__(self, degree: int = 2, n_terms: int = 8) -> None:
-        _needs("sysidentpy", "sysidentpy")
+        if find_spec("sysidentpy") is None:
+            raise InputError(
+                "package sysidentpy",
+                expected="it to be installed",
+                found="no module sysidentpy",
+                remedy='pip install "sindy-surge[peers]", or leave that --method out',
+            )
         self.degree = degree
         self.n_terms = n_terms
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        from sklearn.preprocessing import PolynomialFeatures
         from sysidentpy.model_structure_selection import FROLS
 
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
@@ -201,15 +191,12 @@ class PlainPysindy(_Simulated):
     """
 
     def __init__(self, sample_period_s: float, degree: int = 2, threshold: float = 1.0) -> None:
-        _needs("pysindy", "pysindy")
         self.sample_period_s = sample_period_s
         self.degree = degree
         self.threshold = threshold
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
-        import pysindy
-
         runs = [run for run in runs_of(segments, y.size) if run.stop - run.start > 15]
         differences = pysindy.SmoothedFiniteDifference(
             smoother_kws={"window_length": 11, "polyorder": 3}
@@ -253,7 +240,7 @@ class PlainPysindy(_Simulated):
         return np.asarray(last + h / 6.0 * (one + 2.0 * two + 2.0 * three + four))
 
 
-class PredictionError:
+class PredictionError(_Simulated):
     """The lag with a parabola and a moving average, by scipy's least squares over its errors.
 
     Parameters
@@ -267,8 +254,8 @@ class PredictionError:
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,): y[k+1] = a y[k] + b·s + C e."""
-        phi, runs = X[:, 0], runs_of(segments, y.size)
-        columns = np.vander(phi, 3, increasing=True)
+        runs, self.level_ = runs_of(segments, y.size), float(np.mean(y))
+        columns = np.vander(X[:, 0], 3, increasing=True)
         # φ is joined by lines: to first order the mean of the two ends acts.
         before = [np.column_stack([y[r][:-1], _middle(columns[r])]) for r in runs]
         after = [y[r][1:] for r in runs]
@@ -293,25 +280,12 @@ class PredictionError:
         return self
 
     def characteristic(self, phi: FloatArray) -> FloatArray:
-        """Return the parabola at φ, of shape (n,)."""
-        return np.asarray(np.vander(phi, 3, increasing=True) @ self.beta_)
+        """Return the parabola at φ, of the same shape."""
+        return np.asarray(polyval(phi, self.beta_))
 
-    def predict(
-        self,
-        X: FloatArray,
-        segments: IntArray | None = None,
-        start: FloatArray | None = None,
-    ) -> FloatArray:
-        """Return the free run of ψ', of shape (n,)."""
-        rest = self.characteristic(X[:, 0])
-        out = rest.copy() if start is None else np.array(start, dtype=np.float64)
-        for run in runs_of(segments, rest.size):
-            if run.stop - run.start > 1:
-                denominator = [1.0, -np.clip(self.a_, -1.0, 1.0)]
-                state = lfiltic([1.0], denominator, [out[run.start]])
-                drive = (1.0 - self.a_) * _middle(rest[run])
-                out[run][1:] = lfilter([1.0], denominator, drive, zi=state)[0]
-        return out
+    def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
+        drive = (1.0 - self.a_) * self.characteristic(phi).mean(axis=1)
+        return np.asarray(np.clip(self.a_, -1.0, 1.0) * y[:, -1] + drive)
 
 
 def _middle(values: FloatArray) -> FloatArray:

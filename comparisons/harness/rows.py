@@ -68,20 +68,9 @@ def averaged_rows(
 ) -> FitRows | None:
     """Return the rows that a free run through whole unfiltered records is scored on.
 
-    Each stretch of them, in forward flow in stall, is a segment.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        At one sample rate.
-    until_s : sequence of float, optional
-        Time up to which each record is fitted; the rest is held out.
-
-    Returns
-    -------
-    FitRows or None
-        φ and ψ' averaged over one period of the stall cells; None without such rows, or where a
-        record lacks its unfiltered columns.
+    Each stretch of them, in forward flow in stall, is a segment; φ and ψ' are averaged over one
+    period of the stall cells. None without such rows, or where a record lacks its unfiltered
+    columns. A record is fitted up to its time in ``until_s``; the rest is held out.
     """
     if not all(map(has_whole_run, records)):
         return None
@@ -112,18 +101,7 @@ def _averaged(records: Sequence[CoefficientSeries], keep: BoolArray, at: Terms) 
 
 
 def check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse rows that are given twice: they would count as two, or be held out and fitted too.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        The records.
-
-    Raises
-    ------
-    InputError
-        Naming the record whose rows are those of another.
-    """
+    """Refuse rows that are given twice: they would count as two, or be held out and fitted too."""
     for one, other in combinations(records, 2):
         if np.array_equal(one.phi, other.phi) and np.array_equal(one.psi_p, other.psi_p):
             raise InputError(

@@ -164,7 +164,7 @@ def save_models(
 
 
 def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str, M]:
-    """Read the models of a file; nothing in it is executed.
+    """Read the models of a file, by name and at least one; nothing in it is executed.
 
     Parameters
     ----------
@@ -174,11 +174,6 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         What it must be.
     kind : type of SavedModel
         What each of its models must be.
-
-    Returns
-    -------
-    dict of str to SavedModel
-        By name, at least one.
 
     Raises
     ------
@@ -203,13 +198,7 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
 
 
 def about_models(path: str | Path) -> tuple[str | None, frozenset[float]]:
-    """Return the model of a file that `compare` recommended, and mean φ of the fitted records.
-
-    Parameters
-    ----------
-    path : str or path
-        A file that was read before.
-    """
+    """Return the model of a file that `compare` recommended, and mean φ of the fitted records."""
     document = json.loads(Path(path).read_text("utf-8"))
     return document.get("recommended"), frozenset(document.get("fitted_to", {}).values())
 

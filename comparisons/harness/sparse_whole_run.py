@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,15 +37,16 @@ from classic_ml.whole_run_rows import (
     whole_run_rows,
 )
 from comparisons.results import evaluate_terms
+from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+from sindy_surge.free_run import FreeRunEquations
+from sindy_surge.segments import Segments
+from sindy_surge.selection import PathRow
+from sindy_surge.sparse_run import Departure, SparseRun, select_on_free_run
+from sindy_surge.text import EquationParts, ModelSummary, write_equation
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from sindy_surge.selection import PathRow
-    from sindy_surge.sparse_run import Departure, SparseRun
-    from sindy_surge.text import ModelSummary
 
 # Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
 LOWEST_PHI, GUARD_S = 0.01, 0.003
@@ -95,8 +95,6 @@ class SparseWholeRunFit(WholeRunFit):
 
     def summary(self) -> ModelSummary:
         """Return what is known of the fit; of a refused one no terms."""
-        from sindy_surge.text import EquationParts, ModelSummary
-
         terms = () if math.isnan(self.time_constant_s_) else tuple(self.terms_)
         parts = EquationParts(
             terms,
@@ -113,8 +111,6 @@ class SparseWholeRunFit(WholeRunFit):
 
     def equation(self) -> str:
         """Write the equation, rounded to its uncertainty."""
-        from sindy_surge.text import write_equation
-
         return write_equation(self.summary().parts)
 
 
@@ -150,11 +146,6 @@ def fit_sparse_whole_runs(
     InputError
         When a series lacks the unfiltered columns.
     """
-    from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
-    from sindy_surge.free_run import FreeRunEquations
-    from sindy_surge.segments import Segments
-    from sindy_surge.sparse_run import select_on_free_run
-
     check_rates(records)
     period_s = records[0].sample_period_s
     ends = [math.inf] * len(records) if until_s is None else until_s
@@ -229,12 +220,8 @@ def measurement_spread(records: Sequence[CoefficientSeries]) -> Spread:
     """Return what no fit sees in its rows: the time from plane to plane, and Eq 2 near zero flow.
 
     Both are of the measurement; how far they move τ is taken from the fit to both branches. A
-    record that this fit cannot read has no bound on them: an infinite one.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        Those without the signals of their probe pairs, or with one immersion, have no part in it.
+    record that this fit cannot read has no bound on them: an infinite one. Those without the
+    signals of their probe pairs, or with one immersion, have no part in it.
     """
     worst = Spread(0.0, np.zeros((1, 1)))
     for record in records:
@@ -290,8 +277,6 @@ def _result(
     names: tuple[str, ...],
     withheld: FitState | None,
 ) -> SparseWholeRunFit:
-    from sindy_surge.candidate_terms import polynomial_degree
-
     chosen = tuple(replace(row, terms=row.terms[:, list(found.support)]) for row in rows)
     model = output_error(sample_period_s, hold)
     if found.terms:

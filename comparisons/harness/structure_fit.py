@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,11 +14,11 @@ from classic_ml.whole_run_rows import has_whole_run
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.rows import stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
+from sindy_surge import SparseLagRegressor
+from sindy_surge.text import ModelSummary
 from surge_core.display import Displayed, Field, Sheet
-
-if TYPE_CHECKING:
-    from sindy_surge.text import ModelSummary
-    from surge_core.types import FloatArray
+from surge_core.terms import pretty_term
+from surge_core.types import FloatArray
 
 CURVE_POINTS = 201
 
@@ -75,8 +75,6 @@ class FoundStructure(Displayed):
     @property
     def summary(self) -> ModelSummary:
         """All fields and tables of the fit, with what its records make doubtful."""
-        from surge_core.terms import pretty_term
-
         own: ModelSummary = self.fit.summary()
         histories = [record.history for record in self.records]
         filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
@@ -142,8 +140,6 @@ def find_structure(
         inputs = fit.stacked()
         scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(fit.rows_)
     else:
-        from sindy_surge import SparseLagRegressor
-
         settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}
         stacked = stack_rows(records)
         fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)

@@ -22,10 +22,7 @@ RUN_AWAY_S = 1.0
 def trial_taus(*around_s: float) -> FloatArray:
     """Return values of τ spaced evenly on a log scale around some estimates.
 
-    Parameters
-    ----------
-    around_s : float
-        Estimates; those that are not finite or longer than a second do not count.
+    Those that are not finite or longer than a second do not count.
     """
     # A τ of many seconds is a fit that ran away; it must not stretch the axis.
     known = [tau for tau in around_s if 0.0 < tau <= RUN_AWAY_S]
@@ -82,16 +79,8 @@ def reconstruction_error_over_tau(
 def trial_of(comparison: Comparison) -> TauTrial:
     """Try τ over the rows of a comparison, or over its whole runs where it has such a fit.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-
-    Returns
-    -------
-    TauTrial
-        Of whole runs, on averaged unfiltered signals with the estimate from them alone: the other
-        estimators saw other rows.
+    Over whole runs, on averaged unfiltered signals, with the estimate from them alone: the other
+    estimators saw other rows.
     """
     hold, rows = comparison.results[0].model.hold, comparison.rows
     fitted = [r for r in comparison.results if math.isfinite(r.model.time_constant_s)]

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from classic_ml.characteristics import PiecewiseLinear
-from classic_ml.records import counted
+from classic_ml.io import TestDescription
+from classic_ml.records import Record, counted
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.whole_record_fit import LARGEST_SHARE
@@ -19,10 +20,6 @@ from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteris
 from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-
-if TYPE_CHECKING:
-    from classic_ml.io import TestDescription
-    from classic_ml.records import Record
 
 # Slopes over less than this share of the range are not separated from the errors of φ.
 LEAST_PIECE = 0.25
@@ -44,10 +41,9 @@ def fit_work(
 
     Parameters
     ----------
-    record : Record
-        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
-    test : TestDescription
-        The test they belong to.
+    record, test : Record, TestDescription
+        Counts and kelvin, and the test they belong to, as :func:`classic_ml.io.read_raw` returns
+        them.
     breakpoints : tuple of float, optional
         Where the straight pieces of Fig 22 meet; without them the pair with the least error is
         taken from a grid over the flow that the record visits.
@@ -59,7 +55,7 @@ def fit_work(
     Raises
     ------
     InputError
-        In one sentence when there is no T31 that counts, so no W31 and no ψ.
+        When there is no T31 that counts, so no W31 and no ψ.
     """
     settings = ReductionSettings(phase="none", thermocouple_inversion=True)
     reduction = reduce_record(record, test, settings)
@@ -121,13 +117,7 @@ def _with_spread(best: WorkCharacteristic, fits: list[WorkCharacteristic]) -> Wo
 
 
 def why_withheld(fit: WorkCharacteristic) -> str:
-    """Say why a fit states neither τ nor curve; empty where it states both.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Say why a fit states neither τ nor curve; empty where it states both."""
     if math.isfinite(fit.time_constant_s):
         return ""
     if fit.fit_state is FitState.UNCERTAIN:
@@ -142,13 +132,7 @@ def why_withheld(fit: WorkCharacteristic) -> str:
 
 
 def is_vague(fit: WorkCharacteristic) -> bool:
-    """Return whether τ or the curve is known worse than a whole run's τ may be.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Return whether τ or the curve is known worse than a whole run's τ may be."""
     if not math.isfinite(fit.time_constant_s):
         return False
     value, error = fit.characteristic(np.linspace(*fit.valid_phi, GRID_POINTS))
@@ -157,13 +141,7 @@ def is_vague(fit: WorkCharacteristic) -> bool:
 
 
 def withheld_if_vague(fit: WorkCharacteristic) -> WorkCharacteristic:
-    """Return a fit without numbers where one is vague, as an answer states it.
-
-    Parameters
-    ----------
-    fit : WorkCharacteristic
-        As :func:`fit_work` returns it.
-    """
+    """Return a fit without numbers where one is vague, as an answer states it."""
     if not is_vague(fit):
         return fit
     known = {k: v for k, v in fit.entry.parameters.items() if k != "time_constant_s"}

@@ -28,16 +28,8 @@ def live_document(
 ) -> dict[str, Any]:
     """Return the moment as plain types, as the page takes it.
 
-    Parameters
-    ----------
-    monitor : Monitor
-        What is known of the machine.
-    test, feed, record : str
-        Name of the test; how the feed does and what was kept of it, in words.
-    phase : {"waiting", "running", "reducing", "done"}
-        How far the session is.
-    events : sequence of str
-        The last ones, the newest at the end.
+    ``phase`` is "waiting", "running", "reducing" or "done"; ``feed`` and ``record`` say in words
+    how the feed does and what was kept of it; of the events the newest stands at the end.
     """
     detector, estimate, point = monitor.detector, monitor.estimate, monitor.point
     cycles, period_s = str(detector.n_cycles), detector.period_s
@@ -74,13 +66,7 @@ def _status_line(document: dict[str, Any]) -> str:
 
 
 class Terminal:
-    """Write a line an event and, where the stream is a terminal, the newest state below them.
-
-    Parameters
-    ----------
-    stream : text stream
-        Where to write.
-    """
+    """Write a line an event and, where the stream is a terminal, the newest state below them."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -14,6 +14,8 @@ from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
+from classic_ml.whole_run import fit_whole_runs
+from classic_ml.whole_run_rows import has_whole_run
 from surge_core.errors import InputError
 from surge_core.rounding import round_to_error
 
@@ -64,9 +66,6 @@ def estimate_of(record: Record, test: TestDescription, settings: ReductionSettin
     Estimate
         With the reason in it where the rows do not bear a fit yet.
     """
-    from classic_ml.whole_run import fit_whole_runs
-    from classic_ml.whole_run_rows import has_whole_run
-
     try:
         series = reduce_record(record, test, settings).series
         if not has_whole_run(series):

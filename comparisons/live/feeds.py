@@ -27,15 +27,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class Closed:
-    """A connection ends.
-
-    Parameters
-    ----------
-    why : str
-        In words.
-    for_good : bool
-        Whether no other can follow.
-    """
+    """A connection ends, and why; ``for_good`` where no other can follow."""
 
     why: str
     for_good: bool = False
@@ -79,10 +71,7 @@ class Feed:
     def pass_on(self, receive: Callable[[int], bytes]) -> bytes:
         """Read a connection to its end, and return what stood behind its last line feed.
 
-        Parameters
-        ----------
-        receive : callable
-            Gives the next bytes, at most so many; none at the end.
+        ``receive`` gives the next bytes, at most so many; none at the end.
         """
         self.arrivals.put(Opened())
         rest = b""
@@ -94,13 +83,7 @@ class Feed:
 
 
 def piped(handle: int) -> Feed:
-    """Return the feed of a pipe or file; its end is the end of the run.
-
-    Parameters
-    ----------
-    handle : int
-        File descriptor, such as that of the standard input.
-    """
+    """Return the feed of a pipe or file, by its descriptor; its end is the end of the run."""
 
     def read(feed: Feed) -> None:
         # The last line of a file may lack its end.
@@ -113,15 +96,7 @@ def piped(handle: int) -> Feed:
 def listening(address: tuple[str, int] | Path) -> Feed:
     """Return the feed of a socket that waits for a sender, and again when it is gone.
 
-    Parameters
-    ----------
-    address : tuple of str and int, or path
-        TCP host and port (0: any that is free), or the path of a Unix socket.
-
-    Raises
-    ------
-    InputError
-        When the address cannot be had.
+    The address is host and port of TCP (port 0: any that is free), or the path of a Unix socket.
     """
     try:
         if isinstance(address, Path):

@@ -33,14 +33,7 @@ LEAST_ROWS = 100
 class Monitor:
     """Follow the machine: operating point, stall and surge, running estimate.
 
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    settings : ReductionSettings
-        The switches of the running estimate.
-    scratch : path
-        Folder for rows that are read like files.
+    Rows are read like files, from a folder of their own (``scratch``).
 
     Attributes
     ----------
@@ -85,17 +78,10 @@ class Monitor:
         self._n_rows = self._n_points = 0
 
     def take(self, lines: Sequence[bytes]) -> list[str]:
-        """Take rows that follow on those before; they are looked at by the next `update`.
+        """Take rows, without their line ends, that follow on those before.
 
-        Parameters
-        ----------
-        lines : sequence of bytes
-            Rows without their line ends.
-
-        Returns
-        -------
-        list of str
-            What was shown by rows beyond those that are looked at together.
+        The next `update` looks at them; what is returned was shown by rows beyond those that are
+        looked at together.
         """
         notes: list[str] = []
         for start in range(0, len(lines), self._batch):
@@ -107,17 +93,9 @@ class Monitor:
         return notes
 
     def update(self) -> list[str]:
-        """Look at the rows that have come since the last time.
+        """Look at the rows that have come since; return a sentence on each thing worth saying.
 
-        Returns
-        -------
-        list of str
-            A sentence on each thing worth saying.
-
-        Raises
-        ------
-        InputError
-            When the first rows of all cannot be read.
+        The first rows of all must be such as can be read.
         """
         if self._n_rows < LEAST_ROWS or self._n_rows - self._n_points < 2:
             return []

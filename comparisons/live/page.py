@@ -16,20 +16,7 @@ HOST = "127.0.0.1"
 class Page:
     """Serve the newest state on 127.0.0.1: ``/`` is the page, ``/state.json`` its numbers.
 
-    Parameters
-    ----------
-    port : int
-        Port; 0 for any that is free.
-
-    Attributes
-    ----------
-    port : int
-        The port that it has.
-
-    Raises
-    ------
-    InputError
-        When the port is taken.
+    Port 0 is any that is free; ``port`` then is the one that it has.
     """
 
     def __init__(self, port: int) -> None:

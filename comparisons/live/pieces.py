@@ -15,19 +15,7 @@ from surge_core.errors import InputError
 
 @dataclass
 class Piece:
-    """Rows without a gap.
-
-    Parameters
-    ----------
-    number : int
-        From 1.
-    path : path
-        Its raw record.
-    gap : str
-        What is missing before it.
-    n_rows : int
-        How many rows it has.
-    """
+    """Rows without a gap: a number from 1, their raw record, and what is missing before them."""
 
     number: int
     path: Path
@@ -36,13 +24,7 @@ class Piece:
 
 
 class Pieces:
-    """Write rows to disk as they come, a file a piece.
-
-    Parameters
-    ----------
-    path : path
-        File of the first piece; further pieces are numbered.
-    """
+    """Write rows to disk as they come, a file a piece; further ones than the first are numbered."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -78,33 +60,12 @@ class Pieces:
 def reduce_longest(
     pieces: Sequence[Piece], test_path: Path, settings: ReductionSettings, entry: LedgerEntry
 ) -> tuple[Piece, Reduction]:
-    """Reduce the longest piece of a record that can be reduced, as a file.
+    """Reduce the longest piece of a record that can be reduced, as a file; return it too.
 
     A piece behind a gap has no near-stall reading: it is matched by that of the first piece, since
     the drift of amplifiers that the match makes good holds behind a gap as it does before it.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Those with rows, at least one.
-    test_path : path
-        Description of the test.
-    settings : ReductionSettings
-        The switches.
-    entry : LedgerEntry
-        What is to be said of the feed in the ledger.
-
-    Returns
-    -------
-    piece : Piece
-        Which one.
-    reduction : Reduction
-        Its reduction.
-
-    Raises
-    ------
-    InputError
-        When no piece can be reduced: the reason of the longest one, and the files that are kept.
+    ``entry`` is what is to be said of the feed in the ledger. When no piece can be reduced, the
+    reason of the longest one is given, and the files that are kept.
     """
     reasons: list[InputError] = []
     for piece in sorted(pieces, key=lambda piece: -piece.n_rows):

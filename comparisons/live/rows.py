@@ -27,14 +27,7 @@ Run = tuple[str, list[bytes]]
 
 
 class Lines:
-    """Decode the lines of one connection.
-
-    Parameters
-    ----------
-    clock : str
-        Name of the column with the clock.
-    refused : Counter
-        Where lines that are left out are counted, by reason.
+    """Decode the lines of one connection; ``clock`` names the column with the clock.
 
     Attributes
     ----------
@@ -57,13 +50,7 @@ class Lines:
         self.ended = False
 
     def take(self, lines: Iterable[bytes]) -> list[Row]:
-        """Return the rows among the next lines, each with its clock.
-
-        Parameters
-        ----------
-        lines : iterable of bytes
-            The next lines of the connection.
-        """
+        """Return the rows among the next lines of the connection, each with its clock."""
         rows = []
         for line in map(bytes.strip, lines):
             if self.ended or not line:
@@ -107,17 +94,9 @@ class Lines:
 class RowOrder:
     """Drop rows that were had, and cut the record where rows are missing.
 
-    The sample period is that of the first rows, in whatever unit their clock is.
-
-    Parameters
-    ----------
-    refused : Counter
-        Where rows that fit nowhere are counted.
-
-    Attributes
-    ----------
-    repeated : int
-        Rows whose clock was had already, as after a connection that was lost.
+    The sample period is that of the first rows, in whatever unit their clock is. Rows that fit
+    nowhere are counted in ``refused``; in ``repeated`` those whose clock was had already, as after
+    a connection that was lost.
     """
 
     def __init__(self, refused: Counter[str]) -> None:
@@ -128,13 +107,7 @@ class RowOrder:
         self.repeated = 0
 
     def take(self, rows: Sequence[Row]) -> list[Run]:
-        """Return the rows that are in order by now.
-
-        Parameters
-        ----------
-        rows : sequence of tuple of float and bytes
-            Clock and line of each, as they came.
-        """
+        """Return those of the rows, and of those that wait, that are in order by now."""
         if math.isnan(self._period):
             rows = [*self._waiting, *rows]
             self._waiting = []

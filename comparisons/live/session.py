@@ -41,20 +41,8 @@ class Screen(Protocol):
 class Session:
     """Follow a feed until it ends.
 
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    feed : Feed
-        Where the rows come from.
-    pieces : Pieces
-        Where they are kept.
-    monitor : Monitor
-        What is known of the machine.
-    screens : sequence of Screen
-        What shows it.
-    timeout_s : float
-        How long to wait without a row.
+    ``pieces`` keep the rows, ``monitor`` knows the machine, ``screens`` show it; ``timeout_s`` is
+    how long to wait without a row.
     """
 
     test: TestDescription
@@ -83,10 +71,7 @@ class Session:
     def run(self) -> None:
         """Follow the feed until it ends, is silent for too long, or the session is stopped.
 
-        Raises
-        ------
-        InputError
-            When the first rows cannot be read as those of the test, or there are none.
+        First rows that cannot be read as those of the test are refused; so is a feed without any.
         """
         if self.test.file.clock != "column":
             raise InputError(
@@ -131,13 +116,7 @@ class Session:
         )
 
     def show(self, phase: str) -> None:
-        """Show what is known now.
-
-        Parameters
-        ----------
-        phase : {"waiting", "running", "reducing", "done"}
-            How far the session is.
-        """
+        """Show what is known now, with the phase ("waiting", "running", "reducing" or "done")."""
         record = f"{self.pieces.n_rows} rows"
         if len(self.pieces.pieces) > 1:
             record += f", in {len(self.pieces.pieces)} pieces"

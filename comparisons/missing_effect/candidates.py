@@ -177,7 +177,8 @@ class Bench(System[Effect, Fit]):
     @property
     def held(self) -> BoolArray:
         """Rows that were held out."""
-        return self.data.scored() & (self.data.part != TRAIN)
+        held: BoolArray = self.data.scored() & (self.data.part != TRAIN)
+        return held
 
     def in_metric_of(self, fit: Fit, noise: NoiseModel) -> Bench:
         """Return the bench in the metric that a noise asks for, the model fitted again."""

@@ -279,9 +279,18 @@ class ExtendedLag(Displayed):
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
-        tau = self.time_constant_s, self.time_constant_stderr_s
-        numbers = self.terms, self.coefficients, self.stderr
-        lag = FittedLag("", self.target, *tau, *numbers, self.hold, self.valid_phi, self.table)
+        lag = FittedLag(
+            "",
+            self.target,
+            self.time_constant_s,
+            self.time_constant_stderr_s,
+            self.terms,
+            self.coefficients,
+            self.stderr,
+            self.hold,
+            self.valid_phi,
+            self.table,
+        )
         text = lag.equation()
         for added in self.effects:
             text += f"; {added.name}: {added.effect.equation}, {_numbers(added)}"
@@ -361,8 +370,8 @@ def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> 
         if added.name == REVERSE and added.name in names:
             columns.append(evaluate_terms(["phi^2[phi<0]"], phi))
         elif added.name == SHAPE and added.name in names:
-            intervals, *span = added.nonlinear
-            columns.append(shape_columns(phi, span, int(intervals), n_powers(model.terms)))
+            intervals, low, high = added.nonlinear
+            columns.append(shape_columns(phi, (low, high), int(intervals), n_powers(model.terms)))
     return np.column_stack(columns)
 
 

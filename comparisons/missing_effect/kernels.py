@@ -93,7 +93,9 @@ def _second_order_step(a2_steps: float, tau_steps: float) -> tuple[FloatArray, F
     """Return the exact difference equation of a₂ ẍ + τ ẋ + x = u for u joined by straight lines."""
     from scipy.signal import cont2discrete
 
-    ahead, back, _ = cont2discrete(([1.0], [a2_steps, tau_steps, 1.0]), 1.0, "foh")
+    ahead, back, _ = cont2discrete(
+        (np.array([1.0]), np.array([a2_steps, tau_steps, 1.0])), 1.0, "foh"
+    )
     return ahead[0], back
 
 

@@ -163,12 +163,12 @@ def _over_frequency(
     level = max(background, 1.0) ** 2
     total = float(np.sum(before.density[1:]))
     for low, high, inside in log_bands(before.frequency_hz, before.resolution_hz):
-        densities = [float(np.mean(power.density[inside])) for power in powers]
+        was, now, measured = (float(np.mean(power.density[inside])) for power in powers)
         share = float(np.sum(before.density[inside])) / total if total > 0.0 else math.nan
         own = float(np.mean(ratio[inside])) if known else math.nan
         freedom = max(before.per_hz * (high - low), before.bin_freedom)
         z = power_z(own / level, freedom) if known else math.nan
-        rows.append(BandRow(low, high, *densities, share, own, math.nan, z))
+        rows.append(BandRow(low, high, was, now, measured, share, own, math.nan, z))
     line = narrow_line(before, ratio, level, given.cycle_hz) if known else None
     return background, rows, line
 

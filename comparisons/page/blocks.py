@@ -219,14 +219,8 @@ class Picture:
 class Summary:
     """The first screen of a section: a line, questions with their answers, and a picture.
 
-    Parameters
-    ----------
-    line : str
-        What it is about.
-    items : tuple of (str, str)
-        Question and answer; the first answer is set large.
-    picture : Picture or None
-        Beside the answers, or below them on a narrow screen.
+    The first answer is set large; the picture stands beside the answers, or below them on a narrow
+    screen.
     """
 
     kind: ClassVar[str] = "summary"

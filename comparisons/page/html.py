@@ -45,12 +45,10 @@ def render_page(
     progress : callable
         Wraps the iteration over the pictures, to show how far the drawing is.
 
-    Returns
-    -------
-    str
-        HTML. Every text is escaped; the only script and the only style that a browser runs are
-        those of this package, since the page's own policy names their SHA-256 (W3C, Content
-        Security Policy Level 3).
+    Notes
+    -----
+    Every text is escaped; the only script and the only style that a browser runs are those of this
+    package, since the page's own policy names their SHA-256 (W3C, Content Security Policy Level 3).
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup

@@ -32,15 +32,7 @@ SHADE = "#f0ece0"
 
 @dataclass(frozen=True)
 class LineStyle:
-    """How an estimator is drawn in every picture.
-
-    Parameters
-    ----------
-    colour : str
-        Colour of line and band.
-    dashes : str or tuple
-        Matplotlib line style, so that lines stay apart in a print in grey.
-    """
+    """How an estimator is drawn in every picture, apart from others in a print in grey too."""
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]]
@@ -146,15 +138,7 @@ def printable(text: str, longest: int = 60) -> str:
 def broken(
     time_s: FloatArray, values: FloatArray, runs: list[slice]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a signal with a gap between its segments, so that no line joins two.
-
-    Parameters
-    ----------
-    time_s, values : ndarray of shape (n,)
-        The signal.
-    runs : list of slice
-        Its segments.
-    """
+    """Return a signal with a gap between its segments, so that no line joins two."""
     gap = np.array([np.nan])
     times = [part for run in runs for part in (time_s[run], gap)]
     levels = [part for run in runs for part in (values[run], gap)]

@@ -168,8 +168,13 @@ def filters(runs: Instabilities) -> Findings:
     # The bilinear map at 1 kHz takes a little more than the analogue -14.3 and -23.5 dB.
     right &= -15.5 < gains[3][1] < -14.3 and -25.5 < gains[5][1] < -23.5
     again = plane_averages(local_flows(record, paper.test), paper.test)["Wc25_kg_s"]
-    how = {"order": settings.filter_order, "cutoff_hz": settings.cutoff_hz}
-    other = low_pass(record["Wc25_unfiltered_kg_s"], rate_hz, **how, phase=settings.phase)
+    other = low_pass(
+        record["Wc25_unfiltered_kg_s"],
+        rate_hz,
+        order=settings.filter_order,
+        cutoff_hz=settings.cutoff_hz,
+        phase=settings.phase,
+    )
     apart, differ = (
         float(np.max(np.abs(flow - record["Wc25_kg_s"]))) / LBM_KG for flow in (again, other)
     )

@@ -210,7 +210,7 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p: (0.05, _LIMIT_OF_TAU),
         lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
         signed=True,
-        lag=lambda p, at: 1.0 + p["slope"] * (at.branch_phi < p["phi_threshold"]),
+        lag=lambda p, at: np.where(at.branch_phi < p["phi_threshold"], 1.0 + p["slope"], 1.0),
         levels=lambda p: (p["phi_threshold"],),
     ),
     "flow_inertia": Form(

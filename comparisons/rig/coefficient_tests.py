@@ -194,10 +194,12 @@ def simulate_test(
         measured_phi = phi
         if noise in _PHI_NOISE:
             measured_phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
-        channels = (signals[i].at(time)[0] for signals in (plant.temperatures, plant.speeds))
+        temperature, speed = plant.temperatures[i].at(time)[0], plant.speeds[i].at(time)[0]
         in_stall = phi < plant.stall_phi
         records.append(
-            CoefficientRecord(time, measured_phi, measured_psi, *channels, in_stall, segment)
+            CoefficientRecord(
+                time, measured_phi, measured_psi, temperature, speed, in_stall, segment
+            )
         )
     return CoefficientTest(
         tuple(records), plant.tau_s, plant.beta, planted, strengths, sigma, tuple(clean)

@@ -71,7 +71,9 @@ def _machine(
     cells = shares.pop("cells")
     moved: dict[str, Any] = {name: getattr(base, name) * share for name, share in shares.items()}
     tau_s = between(*_TAU_S)
-    pairs = zip(base.pressure_terms, _TERMS, strict=True)
+    a, b, c = (
+        term * between(*ends) for term, ends in zip(base.pressure_terms, _TERMS, strict=True)
+    )
     case = replace(
         base,
         name="drawn",
@@ -79,7 +81,7 @@ def _machine(
         cell_pressure_frac=base.cell_pressure_frac * cells,
         cell_flow_kg_s=base.cell_flow_kg_s * cells,
         tau_s=tau_s,
-        pressure_terms=tuple(term * between(*ends) for term, ends in pairs),
+        pressure_terms=(a, b, c),
         reverse_loss=base.reverse_loss * between(*_REVERSE_LOSS),
         segmentation=None,
         window_s=None,

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from sindy_surge.discover.dynamics import SparseDynamics
+from sindy_surge.discover.equations import Rival, Term
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
-
-if TYPE_CHECKING:
-    from sindy_surge.discover.dynamics import SparseDynamics
-    from sindy_surge.discover.equations import Rival, Term
-    from surge_core.types import FloatArray
+from surge_core.types import FloatArray
 
 DISCOVER_SCHEMA = "sindy-surge/discover/1"
 RIVALS_SHOWN = 5
@@ -25,13 +23,7 @@ DISCOVERED = "#1f5fa8"
 
 
 def discover_document(model: SparseDynamics) -> dict[str, Any]:
-    """Return the document of ``discover --json``.
-
-    Parameters
-    ----------
-    model : SparseDynamics
-        Fitted.
-    """
+    """Return the document of ``discover --json`` of a fitted model."""
     stated = _stated(model)
     return {
         "schema": DISCOVER_SCHEMA,
@@ -64,13 +56,7 @@ def _equations(
 
 
 def discover_text(model: SparseDynamics) -> str:
-    """Return the equations, their state and their rivals as text; the state alone if they fail.
-
-    Parameters
-    ----------
-    model : SparseDynamics
-        Fitted.
-    """
+    """Return the equations, their state and their rivals as text; the state alone if they fail."""
     head = f"{model.state_.code}: {model.state_.advice}"
     if not _stated(model):
         return head
@@ -124,16 +110,7 @@ def discover_report(
 ) -> str:
     """Return the equations and their pictures as one self-contained HTML page.
 
-    Parameters
-    ----------
-    model : SparseDynamics
-        Fitted.
-    x, t : sequence of ndarray
-        Measured states and times of each trajectory.
-    names : sequence of str
-        Names of the files.
-    command : str
-        The command line that made it.
+    ``x`` and ``t`` are the measured states and times of each trajectory, ``names`` their files.
     """
     tone = "plain" if model.state_ is FitState.OK else "caution"
     blocks: list[Block] = [Words(model.state_.advice, tone)]

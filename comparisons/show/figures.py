@@ -38,19 +38,8 @@ def write_figures(
 ) -> int:
     """Write every picture as SVG and PDF, and every table as CSV and LaTeX (booktabs).
 
-    Parameters
-    ----------
-    pages : sequence of (str, sequence of Part)
-        Sections of a page.
-    folder : path
-        Where; it is made where there is none.
-    curve : Curve, optional
-        Becomes a lookup table for a simulation, CSV and JSON.
-
-    Returns
-    -------
-    int
-        Files written.
+    The folder is made where there is none; a curve becomes a lookup table for a simulation, CSV and
+    JSON. Returns how many files were written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     parts = [part for _, own in pages for part in own]

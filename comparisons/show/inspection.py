@@ -5,19 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from classic_ml.inspect import ChannelFacts, ChannelMatch, ClockFacts, Inspection, TestMatch
 from classic_ml.records import counted, ledger_lines
 from surge_core.display import Grid
-
-if TYPE_CHECKING:
-    from classic_ml.inspect import (
-        ChannelFacts,
-        ChannelMatch,
-        ClockFacts,
-        Inspection,
-        TestMatch,
-    )
 
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
@@ -30,15 +22,7 @@ SURGING_SHARE = 0.8
 
 
 def inspect_text(inspection: Inspection, match: TestMatch | None = None) -> str:
-    """Return the findings as text.
-
-    Parameters
-    ----------
-    inspection : Inspection
-        What is in the file.
-    match : TestMatch, optional
-        The file beside its test.toml, and what reduce would make of it.
-    """
+    """Return the findings as text; with a match also what reduce would make of the file."""
     parts = [_file_text(inspection)]
     if match is not None:
         parts += [_match_text(match), _reduction_text(match)]

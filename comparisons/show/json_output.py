@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.structure_fit import FoundStructure
 from comparisons.results import Comparison, EstimatorResult
+from sindy_surge.text import interval95
 from surge_core.terms import terms_json
-
-if TYPE_CHECKING:
-    from comparisons.harness.structure_fit import FoundStructure
 
 COMPARE_SCHEMA = "sindy-surge/compare/1"
 STRUCTURE_SCHEMA = "sindy-surge/structure/1"
@@ -21,15 +20,7 @@ OF_PATH = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consisten
 
 
 def comparison_document(comparison: Comparison, work: Comparison | None = None) -> dict[str, Any]:
-    """Return the document of ``compare --json``.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Of the pressure coefficient ψ'.
-    work : Comparison, optional
-        Of the work coefficient ψ, under the key ``work_coefficient``.
-    """
+    """Return the document of ``compare --json``, of ψ' and, where it was fitted, of ψ."""
     document = {"schema": COMPARE_SCHEMA, **_comparison(comparison)}
     if work is not None:
         document["work_coefficient"] = _comparison(work)
@@ -68,8 +59,6 @@ def state_json(code: str, advice: str) -> dict[str, dict[str, str]]:
 
 def structure_document(found: FoundStructure) -> dict[str, Any]:
     """Return the document of ``structure --json``."""
-    from sindy_surge.text import interval95
-
     fit, known, summary = found.fit, found.inclusion, found.summary
     parts = summary.parts
     noise = getattr(fit, "noise_", None)

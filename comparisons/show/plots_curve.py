@@ -35,17 +35,7 @@ HEADROOM = 0.08
 def characteristics(comparison: Comparison, truth: Truth | None = None) -> Picture:
     """Draw each estimator's quasi-steady characteristic over the histogram of φ (Fig 23 to 26).
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-    truth : Truth, optional
-        The characteristic of a simulated record.
-
-    Returns
-    -------
-    Picture
-        Curves with bands of ± 2 standard errors, each where the φ of its own rows dwells.
+    Curves with bands of ± 2 standard errors, each where the φ of its own rows dwells.
     """
     first = comparison.first
     rows, ends = first.rows, comparison.valid_phi
@@ -104,18 +94,8 @@ def curve_picture(
 ) -> Picture:
     """Draw a characteristic with its band over the scored points, where φ was scored.
 
-    Parameters
-    ----------
-    curve : Curve
-        The characteristic.
-    estimator : str
-        Key of what found it, for its colour.
-    truth : Truth, optional
-        The characteristic of a simulated record.
-    histogram : bool
-        Draw that of φ behind, in a larger picture.
-    more : str
-        Further words on how to read it.
+    Its colour is that of the estimator that found it; with ``histogram`` that of φ stands behind,
+    in a larger picture; ``more`` are further words on how to read it.
     """
     size = {"height_in": 6.0} if histogram else {"width_in": WIDTH_IN, "height_in": HEIGHT_IN}
     figure = style.new_figure(**size)
@@ -165,21 +145,10 @@ def curve_picture(
 def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: bool) -> Picture:
     """Draw the reconstruction error over τ with what the estimators found.
 
-    Parameters
-    ----------
-    trial : TauTrial
-        Reconstruction error over τ.
-    true_tau_s : float, optional
-        Truth of a simulated record, in seconds.
-    whole_runs : bool
-        Whether the error is that of the free run through the unfiltered signals.
-
-    Returns
-    -------
-    Picture
-        Error of the free run with the curve refitted to each τ; shaded, the values of τ that are
-        no worse within two paired errors; each estimator as a ring at its τ and the error of its
-        own reconstruction, with ± 2 standard errors.
+    Error of the free run with the curve refitted to each τ; shaded, the values of τ that are no
+    worse within two paired errors; each estimator as a ring at its τ and the error of its own
+    reconstruction, with ± 2 standard errors. ``whole_runs`` says whether the error is that of the
+    free run through the unfiltered signals.
     """
     from matplotlib.ticker import LogLocator, NullFormatter
 

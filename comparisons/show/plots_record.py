@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.flow import LBM_KG
+from classic_ml.reduction import Reduction
 from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect.loading import surge_frequency_hz
 from comparisons.page import style
 from comparisons.page.blocks import Picture
 from comparisons.results import SYMBOLS
@@ -19,8 +21,6 @@ from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from classic_ml.reduction import Reduction
 
 DIGITS = 3
 # Of a longer record more would only blacken the paper.
@@ -111,15 +111,7 @@ def surge_cycles(reduction: Reduction) -> Picture:
 
 
 def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
-    """Draw the coefficient over φ, as the record ran through it.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        A reduced record.
-    target : {"psi_p", "psi"}
-        Which coefficient; the record has it.
-    """
+    """Draw the coefficient of a reduced record over φ, as the record ran through it."""
     values = np.asarray(getattr(series, target))
     if target == "psi":
         # A gap where it was interpolated: at small and at reversed flow.
@@ -151,15 +143,7 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
 
 
 def span(values: FloatArray, unit: str = "") -> str:
-    """Return the least and the greatest of a signal's finite values.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The signal.
-    unit : str
-        Its unit; empty for none.
-    """
+    """Return the least and the greatest of a signal's finite values, with their unit."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return "not known"
@@ -168,17 +152,7 @@ def span(values: FloatArray, unit: str = "") -> str:
 
 
 def cycle_words(values: FloatArray, sample_rate_hz: float) -> str:
-    """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The pressure, or its coefficient.
-    sample_rate_hz : float
-        Its sample rate.
-    """
-    from comparisons.missing_effect.loading import surge_frequency_hz
-
+    """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it."""
     surge_hz = surge_frequency_hz(values, sample_rate_hz) if np.ptp(values) > 0.0 else 0.0
     if surge_hz <= 0.0:
         return "No cycle stands out."

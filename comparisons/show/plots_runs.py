@@ -26,20 +26,8 @@ ZOOM_S = 0.8
 def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtered") -> Picture:
     """Draw the free run of each estimator against the measurement of one record (Fig 27).
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-    record : int
-        Index of the record.
-    kind : {"filtered", "unfiltered"}
-        Which rows: those of the estimators that were fitted to such.
-
-    Returns
-    -------
-    Picture
-        Above, the whole record with the first of these estimators; below, the cycles around the
-        border to the held-out rows with all of them.
+    Above, the whole record with the first of the estimators that were fitted to rows of this kind;
+    below, the cycles around the border to the held-out rows with all of them.
     """
     ordered = [comparison.result(row.estimator) for row in comparison.table]
     results = [result for result in ordered if result.rows.kind == kind]
@@ -70,17 +58,8 @@ def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtere
 def validation(validated: Sequence[Reconstruction]) -> Picture:
     """Draw models that were fitted elsewhere against the measurement of another record.
 
-    Parameters
-    ----------
-    validated : sequence of Reconstruction
-        One or several models on one record.
-
-    Returns
-    -------
-    Picture
-        Above, the whole record with the first model; below, the cycles in its middle with all of
-        them and the first one's band, rows shaded whose φ lies outside the range where it dwelt in
-        the fit.
+    Above, the whole record with the first model; below, the cycles in its middle with all of them
+    and the first one's band, rows shaded whose φ lies outside the range where it dwelt in the fit.
     """
     best, rows = validated[0], validated[0].rows
     styles = style.estimator_styles(run.model.estimator for run in validated)
@@ -150,19 +129,7 @@ def errors_in_time(comparison: Comparison) -> Picture:
 
 
 def shade(ax: Axes, time_s: FloatArray, where: BoolArray, label: str) -> None:
-    """Shade the stretches of rows that a mask marks.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    time_s : ndarray of shape (n,)
-        Clock of the rows, in seconds.
-    where : ndarray of bool, shape (n,)
-        The mask.
-    label : str
-        Entry of the legend.
-    """
+    """Shade the stretches of rows, by their clock, that a mask marks."""
     name: str | None = label
     step = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     # Rows of two segments lie further apart than one step; the shade does not bridge them.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from classic_ml.checks import CheckRow
 from classic_ml.records import LedgerEntry, counted, ledger_grid
+from classic_ml.reduction import Reduction
 from comparisons.harness.answer import answer_of
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.tau_trial import trial_of
@@ -33,9 +34,6 @@ from comparisons.results import (
 from comparisons.results.names import NAMES
 from comparisons.show import plots_curve, plots_record, plots_runs
 from surge_core.rounding import significant
-
-if TYPE_CHECKING:
-    from classic_ml.reduction import Reduction
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4

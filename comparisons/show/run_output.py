@@ -25,10 +25,7 @@ RUN_SCHEMA = "sindy-surge/run/1"
 def run_document(found: Analysis) -> dict[str, Any]:
     """Return an analysis as plain JSON types.
 
-    Parameters
-    ----------
-    found : Analysis
-        The analysis. A step that refused has ``{"refused": sentence}`` for its document.
+    A step that refused has ``{"refused": sentence}`` for its document.
     """
     series, record = found.reduction.series, found.reduction.record
     made = {

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from classic_ml.work.coefficient import WorkCharacteristic
 from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.show.json_output import curve_json, state_json, tau_json
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
-
-if TYPE_CHECKING:
-    from classic_ml.work.coefficient import WorkCharacteristic
-    from surge_core.types import FloatArray
+from surge_core.types import FloatArray
 
 WORK_SCHEMA = "sindy-surge/work/1"
 

@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from classic_ml.clock import uniform_period_s
 from classic_ml.io.formats import open_stored
+from classic_ml.series import uniform_period_s
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError

@@ -241,8 +241,12 @@ class Model(Displayed):
     def state_groups(self) -> dict[str, slice | int]:
         """Where in x each state of the user's is: a number, or the cells of a vector."""
         names = enumerate(self.state_names[: self.own_states])
-        alone = {i: (name, i) for i, name in names if i not in self.cells}
-        spans = {span.start: (name, span) for name, span in self.vectors.items()}
+        alone: dict[int, tuple[str, slice | int]] = {
+            i: (name, i) for i, name in names if i not in self.cells
+        }
+        spans: dict[int, tuple[str, slice | int]] = {
+            span.start: (name, span) for name, span in self.vectors.items()
+        }
         return dict(group for _, group in sorted({**alone, **spans}.items()))
 
     @property
