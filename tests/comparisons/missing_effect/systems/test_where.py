@@ -13,6 +13,7 @@ from made_systems import made_diagnosis
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.results import residuals_of
 from comparisons.missing_effect.where import where_of
+from surge_core.files import to_strict_json
 from surge_core.types import FloatArray
 
 PERIOD_S = 0.01
@@ -153,4 +154,5 @@ def test_rows_without_a_reading_are_left_out() -> None:
     assert sum(row.after["any"].n for row in where.flow) == np.count_nonzero(np.isfinite(measured))
     assert all(math.isfinite(row.before_psd) for row in where.frequency)
     assert max(abs(row.after["any"].mean) / row.after["any"].stderr for row in where.flow) < 4.5
-    json.dumps(where.to_json(), allow_nan=False)
+    written = json.loads(to_strict_json(where.to_json()))
+    assert sum(row["before_rms"] is None for row in written["time"]) == 2
