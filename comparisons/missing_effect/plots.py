@@ -213,7 +213,9 @@ def _run_panels(upper: Axes, lower: Axes, d: Diagnosis, run: CheckRun, rows: sli
     lower.set_xlim(float(time_s[0]), float(time_s[-1]))
     sizes = [float(run.before_rms[j]), float(run.after_rms[j])]
     fall = scale_of(unit, [typical(sizes)])
-    first = f"{significant(sizes[0] * fall.factor, 3)} → " if d.missing else ""
+    # What acts where no row is scored leaves these rows as they were.
+    fell = bool(d.missing) and sizes[0] != sizes[1]
+    first = f"{significant(sizes[0] * fall.factor, 3)} → " if fell else ""
     shown = printable(f"{SYMBOLS.get(name, name)}: rms {first}{fall.text(sizes[1])}", 44)
     upper.set_title(shown, **LEFT)
 

@@ -232,7 +232,8 @@ def _with_reverse_loss(diagnosis: LagDiagnosis, bench: Bench, twins: bool) -> La
         verdict = "named" if twins else "provisional"
     remark = (
         f"the loss in reversed flow accounts for {100.0 * share:.0f} % of the error in "
-        f"{reversals} reversals, which were not used to find τ; the error of c is not known"
+        f"{reversals} reversals, which were not used to find τ; how large it is stays open, "
+        "since the probes see reversed flow from behind"
     )
     return replace(
         diagnosis,

@@ -123,9 +123,12 @@ def verdict_sentence(d: Diagnosis) -> str:
         return _LEADS[d.verdict]
     each = []
     for item in d.missing:
-        numbers = number_rows(item.effect, item.parameters)[:1]
+        # A number whose error is not known is no answer; the table has it.
+        known = not any(np.isnan(p.stderr) for p in item.parameters[:1])
+        numbers = number_rows(item.effect, item.parameters)[:1] if known else ()
         first = "".join(f" ({n} = {text})" if n else f" ({text})" for n, text in numbers)
-        each.append(f"{_named(item)}{first}{_together(item)}")
+        plain = "port" in item.place and not item.unnamed and d.verdict not in _LACKS
+        each.append(f"{'the ' * plain}{_named(item)}{first}{_together(item)}")
     lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
     if d.acts_unscored:
         return f"{lead}."
