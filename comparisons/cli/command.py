@@ -40,7 +40,7 @@ class Command:
         if self.add is not None:
             self.add(parser)
         for each in self.arguments:
-            each.add_to(parser)
+            parser.add_argument(*each.flags, **each.details)
         parser.set_defaults(command=self)
 
     def carry_out(self, given: argparse.Namespace) -> None:
@@ -57,17 +57,17 @@ class Command:
         typed = [(each, getattr(given, each.name)) for each in self.arguments]
         read: list[Path] = []
         for each, value in typed:
-            if each.read and value is not None:
+            if each.file == "read" and value:
                 read += value if isinstance(value, list) else [value]
         for path in read:
             if not path.exists():
                 raise InputError(str(path), expected="a file that exists", found="no such file")
         for each, path in typed:
             # The nearest that is there must be a folder.
-            above = (path, *path.absolute().parents) if each.folder and path else ()
+            above = (path, *path.absolute().parents) if each.file == "folder" and path else ()
             if not next((place.is_dir() for place in above if place.exists()), True):
                 raise InputError(str(path), expected="a folder to write to", found="a file")
-        targets = [(path, each.suffixes) for each, path in typed if each.written and path]
+        targets = [(path, each.suffixes) for each, path in typed if each.file == "written" and path]
         for path, suffixes in targets:
             check_target(path, suffixes)
         if targets:

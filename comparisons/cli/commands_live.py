@@ -40,7 +40,7 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     words = "for the running estimate and for the series at the end"
     group = parser.add_argument_group("options of `reduce`", words)
     for each in REDUCTION:
-        each.add_to(group)
+        group.add_argument(*each.flags, **each.details)
 
 
 class _WithFormats(argparse.RawDescriptionHelpFormatter):

@@ -10,7 +10,7 @@ import numpy as np
 
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
-from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from comparisons.page.style import FAINT, legend_above, panel, strips
 from sindy_surge.discover.dynamics import SparseDynamics
 from sindy_surge.discover.equations import Rival, Term
 from surge_core.fit_state import FitState
@@ -137,13 +137,11 @@ def _pictures(
     """Draw the first trajectory over time, and the first two states against each other."""
     first, n = len(x[0]), x[0].shape[1]
     estimated, measured, names = model.x_[:first], x[0], model.state_names_
-    figure = new_figure(height_in=1.2 + 1.5 * n)
-    panels = np.atleast_1d(np.asarray(figure.subplots(n, 1, sharex=True)))
+    figure, panels = strips(n, 1.2 + 1.5 * n, "time [s]")
     for j, ax in enumerate(panels):
-        dress(ax).plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")
+        ax.plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")
         ax.plot(t[0], estimated[:, j], color=DISCOVERED, lw=1.2, label="equations")
         ax.set_ylabel(names[j])
-    panels[-1].set_xlabel("time [s]")
     legend_above(figure, panels[0])
     left = np.sqrt(np.mean((measured - estimated[:, :n]) ** 2, axis=0))
     words = ", ".join(f"{name} {rms:.2g}" for name, rms in zip(names, left, strict=False))
@@ -157,12 +155,9 @@ def _pictures(
     ]
     if n < 2:
         return pictures
-    figure = new_figure(height_in=5.0)
-    ax = dress(figure.subplots())
+    figure, ax = panel(names[0], names[1])
     ax.plot(measured[:, 0], measured[:, 1], ".", ms=2, color=FAINT, label="measured")
     ax.plot(estimated[:, 0], estimated[:, 1], color=DISCOVERED, lw=1.2, label="equations")
-    ax.set_xlabel(names[0])
-    ax.set_ylabel(names[1])
     legend_above(figure, ax)
     pictures.append(
         Picture(

@@ -84,16 +84,14 @@ def surge_cycles(reduction: Reduction) -> Picture:
         "inlet total temperature": ("$T_{25}$ [K]", record["T25_K"][keep], "K"),
         "corrected speed": ("$N_c$ [% design]", 100.0 * record["Nc_frac"][keep], "% of design"),
     }
-    figure = style.new_figure(height_in=8.2)
-    panels = figure.subplots(len(signals), 1, sharex=True)
+    figure, panels = style.strips(len(signals), 8.2, "facility clock [s]")
     for ax, (label, values, _) in zip(panels, signals.values(), strict=True):
-        style.dress(ax).set_ylabel(label)
+        ax.set_ylabel(label)
         if in_stall is not None:
             shade(ax, time_s, ~in_stall[keep], "unstalled")
         ax.plot(time_s, values, color=style.ACCENT, lw=1.0)
     panels[0].axhline(0.0, color=style.INK, lw=0.6)
     panels[-1].set_xlim(float(time_s[0]), float(time_s[-1]))
-    panels[-1].set_xlabel("facility clock [s]")
     if panels[0].get_legend_handles_labels()[1]:
         style.legend_above(figure, panels[0])
     figure.align_ylabels(panels)
@@ -118,8 +116,8 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
         values = np.where(psi_is_known(series.phi), values, np.nan)
     some = slice(0, LOOP_ROWS)
     phi, shown, scored = series.phi[some], values[some], series.scored[some]
-    figure = style.new_figure(height_in=5.4)
-    ax = style.dress(figure.add_subplot())
+    words = f"instantaneous {style.coefficient_symbol(target)} [-]"
+    figure, ax = style.panel(style.PHI, words, 5.4)
     if not scored.all():
         ax.plot(phi, shown, color=style.FAINT, lw=0.7, label="whole record")
     label = "record" if scored.all() else "intervals that are fitted"
@@ -127,8 +125,6 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
     ax.plot(*fitted, color=style.ACCENT, lw=0.7, alpha=0.7, label=label)
     ax.set_ylim(*style.robust_limits(shown))
     ax.set_xlim(*style.robust_limits(phi))
-    ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
-    ax.set_ylabel(f"instantaneous {style.coefficient_symbol(target)} [-]")
     style.legend_above(figure, ax)
     symbol = SYMBOLS[target]
     return Picture(

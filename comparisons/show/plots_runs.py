@@ -98,14 +98,14 @@ def errors_in_time(comparison: Comparison) -> Picture:
         counted = rows.sample_period_s * np.arange(each.phi.size, dtype=np.float64)
         axes[each.kind] = each.time_s if by_clock else counted
     styles = style.estimator_styles(result.name for result in results)
-    figure = style.new_figure(height_in=1.1 + 1.35 * len(results))
-    panels = np.atleast_1d(np.asarray(figure.subplots(len(results), 1, sharex=True, sharey=True)))
+    clock = "facility clock [s]" if by_clock else "fitted rows in a row [s]"
+    figure, panels = style.strips(len(results), 1.1 + 1.35 * len(results), clock, sharey=True)
     errors, shown = [], []
     for ax, result in zip(panels, results, strict=True):
         rows, axis = result.rows, axes[result.rows.kind]
         error = rows.measured - result.reconstruction
         errors.append(error)
-        shade(style.dress(ax), axis, ~rows.train, "held-out cycles")
+        shade(ax, axis, ~rows.train, "held-out cycles")
         ax.axhline(0.0, color=style.INK, lw=0.6)
         colour, label = styles[result.name].colour, style.printable(result.label)
         ax.plot(*style.broken(axis, error, rows.runs), color=colour, lw=0.9, label=label)
@@ -113,7 +113,6 @@ def errors_in_time(comparison: Comparison) -> Picture:
     panels[0].set_ylim(*style.robust_limits(*errors, margin=0.1))
     ends = [axis[[0, -1]] for axis in axes.values()]
     panels[0].set_xlim(float(np.min(ends)), float(np.max(ends)))
-    panels[-1].set_xlabel("facility clock [s]" if by_clock else "fitted rows in a row [s]")
     symbol = style.coefficient_symbol(rows.target)
     words = f"free-run error of {symbol}: measured - reconstructed [-]"
     figure.supylabel(words, fontsize=10)

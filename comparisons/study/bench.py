@@ -204,10 +204,11 @@ def draw_ranks(ranks: Ranks) -> Figure:
     ranks : Ranks
         Of the methods.
     """
-    from comparisons.page.style import ACCENT, INK, dress, new_figure
+    from comparisons.page.style import ACCENT, INK, panel
 
-    figure = new_figure(height_in=1.2 + 0.35 * len(ranks.methods))
-    ax = dress(figure.add_subplot())
+    words = "mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)"
+    figure, ax = panel(words, "", 1.2 + 0.35 * len(ranks.methods))
+    ax.xaxis.label.set_fontsize(9)
     place = np.arange(len(ranks.methods))
     ax.plot(ranks.mean, place, "o", color=ACCENT, ms=7)
     look: dict[str, Any] = {"color": INK, "lw": 2.0, "alpha": 0.35}
@@ -216,5 +217,4 @@ def draw_ranks(ranks: Ranks) -> Figure:
     ax.set_yticks(place, list(ranks.methods))
     ax.set_ylim(len(ranks.methods) - 0.5, -0.5)
     ax.set_xlim(left=0.8)
-    ax.set_xlabel("mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)", fontsize=9)
     return figure
