@@ -19,7 +19,7 @@ class Command:
     """A command of `sindy-surge`; the module of its name gives the lines that are printed.
 
     ``arguments`` stand in the order of the help; ``add`` adds what is no plain argument, ahead of
-    them; ``formatter`` is how argparse sets the help.
+    them; ``more`` stands below the help as it is.
     """
 
     name: str
@@ -27,16 +27,15 @@ class Command:
     description: str
     arguments: tuple[Argument, ...]
     add: Callable[[argparse.ArgumentParser], None] | None = None
-    formatter: type[argparse.HelpFormatter] = argparse.HelpFormatter
+    more: str = ""
 
     def add_to(self, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         """Add the command to those of the parser."""
         parser = commands.add_parser(
-            self.name,
-            help=self.help,
-            description=self.description,
-            formatter_class=self.formatter,
+            self.name, help=self.help, description=self.description, epilog=self.more
         )
+        if self.more:
+            parser.formatter_class = argparse.RawDescriptionHelpFormatter
         if self.add is not None:
             self.add(parser)
         for each in self.arguments:

@@ -20,7 +20,13 @@ piece is reduced; the rows of all are kept beside it.
 
 The run ends with the input, with the end mark of the format, after --timeout, or with Ctrl-C or
 SIGTERM; then the rows are reduced as `reduce` would with the same options. They are on disk all the
-time: after a crash, reduce that file."""
+time: after a crash, reduce that file.
+
+The feed is lines of text, as `cat raw.csv` gives them. The first line of every connection holds the
+names of the columns, the second one may hold their units, every further one a row of plain decimal
+numbers. Between them stand commas, semicolons or tabs; beside the latter two a comma may be the
+decimal sign. Lines that begin with # count for nothing, but for "#end", which ends
+the run."""
 
 
 def _add_source(parser: argparse.ArgumentParser) -> None:
@@ -41,15 +47,6 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("options of `reduce`", words)
     for each in REDUCTION:
         group.add_argument(*each.flags, **each.details)
-
-
-class _WithFormats(argparse.RawDescriptionHelpFormatter):
-    """Show the format of the feed below the options; it is loaded only for that."""
-
-    def format_help(self) -> str:
-        from comparisons.live.rows import TEXT_FORMAT
-
-        return f"{super().format_help()}\n{_BEHAVIOUR}\n\n{TEXT_FORMAT}\n"
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -98,5 +95,5 @@ LIVE = Command(
         argument("--quiet", action="store_true", help="say nothing but errors"),
     ),
     add=_add_source,
-    formatter=_WithFormats,
+    more=_BEHAVIOUR,
 )

@@ -14,13 +14,6 @@ END_LINE = b"#end"
 # a row whose clock was garbled.
 ROWS_TO_BELIEVE = 16
 
-TEXT_FORMAT = f"""\
-The feed is lines of text, as `cat raw.csv` gives them. The first line of every connection holds the
-names of the columns, the second one may hold their units, every further one a row of plain decimal
-numbers. Between them stand commas, semicolons or tabs; beside the latter two a comma may be the
-decimal sign. Lines that begin with # count for nothing, but for "{END_LINE.decode()}", which ends
-the run."""
-
 # Clock and line of a row; what is missing before rows, empty where they follow on, and their lines.
 Row = tuple[float, bytes]
 Run = tuple[str, list[bytes]]

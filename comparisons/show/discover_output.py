@@ -1,9 +1,10 @@
-"""Discovered equations as text, JSON and page."""
+"""Discovered equations, and the discovered loop of a series, as text, JSON and page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,12 @@ from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, legend_above, panel, strips
 from sindy_surge.discover.dynamics import SparseDynamics
 from sindy_surge.discover.equations import Rival, Term
+from sindy_surge.discover.loop_balance import Balance
+from sindy_surge.discover.loop_lag import Branch
+from sindy_surge.discover.loops import SurgeLoop
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
+from surge_core.terms import terms_json
 from surge_core.types import FloatArray
 
 DISCOVER_SCHEMA = "sindy-surge/discover/1"
@@ -46,13 +51,8 @@ def _stated(model: SparseDynamics) -> bool:
 def _equations(
     model: SparseDynamics, equations: tuple[tuple[Term, ...], ...]
 ) -> list[dict[str, Any]]:
-    return [
-        {
-            "state": state,
-            "terms": [asdict(term) for term in terms],
-        }
-        for state, terms in zip(model.state_names_, equations, strict=True)
-    ]
+    named = zip(model.state_names_, equations, strict=True)
+    return [{"state": state, "terms": list(map(asdict, terms))} for state, terms in named]
 
 
 def discover_text(model: SparseDynamics) -> str:
@@ -168,3 +168,70 @@ def _pictures(
         )
     )
     return pictures
+
+
+def loop_document(loop: SurgeLoop) -> dict[str, Any]:
+    """Return the document of `discover --json`, with branches, levels, τ and period."""
+    lag, stated = loop.lag, _runs_alike(loop)
+
+    def terms(part: Branch | Balance) -> list[dict[str, Any]]:
+        return terms_json(part.terms, part.coefficients, part.stderr)
+
+    names = ("recover_phi", "stall_phi")
+    levels = zip(names, lag.levels, lag.levels_stderr, strict=False)
+    tau = {"value": lag.time_constant_s, "stderr": lag.time_constant_stderr_s}
+    equations = [
+        {"state": "phi", "terms": terms(loop.duct)},
+        {"state": "plenum", "terms": terms(loop.plenum)},
+    ]
+    return {
+        "schema": DISCOVER_SCHEMA,
+        "equations": equations if stated else [],
+        "branches": [{"name": b.name, "terms": terms(b)} for b in lag.branches if stated],
+        "levels": {n: {"value": v, "stderr": error} for n, v, error in levels if stated},
+        "time_constant_s": tau if stated else dict.fromkeys(tau),
+        "period_s": {"measured": loop.measured_cycles.period_s, "simulated": loop.period_s},
+        "rivals": [],
+        "fit_state": {"code": loop.state.code, "advice": loop.state.advice},
+    }
+
+
+def loop_text(loop: SurgeLoop) -> tuple[str, ...]:
+    """Return what the terminal shows."""
+    fields = (f"{name}: {value}" for name, value in _loop_fields(loop))
+    return (f"{loop.state}: {loop.state.advice}", *_loop_equations(loop), *fields)
+
+
+def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
+    """Return the section of the report."""
+    rows = tuple(_loop_fields(loop))
+    table = Table("What the loop measures", (Head("quantity"), Head("value", prose=True)), rows)
+    tone = "plain" if loop.state is FitState.OK else "caution"
+    state = Words(f"{loop.state}: {loop.state.advice}.", tone)
+    words = map(Words, _loop_equations(loop))
+    return (Part(f"Surge loop of {Path(source).name}", (state, *words, table)),)
+
+
+def _runs_alike(loop: SurgeLoop) -> bool:
+    """Return whether the loop runs as the record does: else none of its numbers is stated."""
+    return loop.state is FitState.OK
+
+
+def _loop_equations(loop: SurgeLoop) -> tuple[str, ...]:
+    return loop.equations() if _runs_alike(loop) else ()
+
+
+def _loop_fields(loop: SurgeLoop) -> list[tuple[str, str]]:
+    period = f"{loop.measured_cycles.period_s:.4f} s measured"
+    if not _runs_alike(loop):
+        return [("period", period)]
+    lag = loop.lag
+    tau = f"{1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} ms"
+    fields = [("branches", str(loop.n_branches)), ("time constant", tau)]
+    names = ("unstalled once φ rises through", "stalled once φ falls through")
+    for name, level, error in zip(names, lag.levels, lag.levels_stderr, strict=False):
+        fields.append((name, f"{level:.4f} ± {error:.4f}"))
+    simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
+    fields.append(("period", f"{period}, {simulated} simulated"))
+    fields.append(("plenum pressure", "hidden" if loop.plenum_hidden else "measured"))
+    return fields

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.flow import LBM_KG
@@ -162,16 +161,9 @@ def _window_rows(reduction: Reduction) -> BoolArray:
     return np.asarray((time_s >= from_s) & (time_s <= to_s))
 
 
-def _to_pounds(kg: ArrayLike) -> ArrayLike:
-    return np.asarray(kg) / LBM_KG
-
-
-def _to_kilograms(lbm: ArrayLike) -> ArrayLike:
-    return np.asarray(lbm) * LBM_KG
-
-
 def _pounds_above(ax: Axes) -> None:
-    axis = ax.secondary_xaxis("top", functions=(_to_pounds, _to_kilograms))
+    both_ways = (lambda kg: np.asarray(kg) / LBM_KG, lambda lbm: np.asarray(lbm) * LBM_KG)
+    axis = ax.secondary_xaxis("top", functions=both_ways)
     axis.set_xlabel("[lbm/s]", fontsize=9, color=style.QUIET)
     axis.tick_params(labelsize=8.5, colors=style.QUIET)
     axis.spines["top"].set_color("#888888")

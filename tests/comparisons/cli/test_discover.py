@@ -12,13 +12,9 @@ from surge_machines import STEP_S, draw, measured
 
 from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
-from comparisons.cli.discover_loop import (
-    discover_series_loop,
-    loop_document,
-    loop_parts,
-    loop_text,
-)
+from comparisons.cli.discover import discover_series_loop
 from comparisons.page.html import render_page
+from comparisons.show.discover_output import loop_document, loop_parts, loop_text
 from surge_core.files import to_strict_json
 
 PERIOD_S = 0.05
