@@ -21,6 +21,8 @@ QUANTITIES: tuple[tuple[str, str, float, str], ...] = (
     ("ψ'", "psi_p", 1.0, "{:.3f}"),
     ("corrected speed", "Nc_frac", 100.0, "{:.1f} %"),
 )
+# Of a line, which may be cut: what matters most first.
+IN_LINE = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
 
 
 def live_document(
@@ -58,13 +60,6 @@ def live_document(
     }
 
 
-def _status_line(document: dict[str, Any]) -> str:
-    """Return the moment in one line of a terminal; what matters most first, since it may be cut."""
-    values = {field["label"]: field["value"] for field in document["fields"]}
-    labels = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
-    return "  ".join(f"{label} {values[label]}" for label in labels)
-
-
 class Terminal:
     """Write a line an event and, where the stream is a terminal, the newest state below them."""
 
@@ -79,8 +74,9 @@ class Terminal:
     def show(self, document: dict[str, Any]) -> None:
         """Write the state over the one before."""
         if self._moving:
-            width = shutil.get_terminal_size().columns - 1
-            self._write(_plain(_status_line(document))[:width])
+            values = {field["label"]: field["value"] for field in document["fields"]}
+            line = "  ".join(f"{label} {values[label]}" for label in IN_LINE)
+            self._write(_plain(line)[: shutil.get_terminal_size().columns - 1])
 
     def close(self) -> None:
         """Leave the line."""
