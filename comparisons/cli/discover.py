@@ -89,11 +89,10 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
     return *loop_text(found), *written
 
 
-def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = None) -> SurgeLoop:
+def discover_series_loop(series: CoefficientSeries) -> SurgeLoop:
     """Discover the loop of a reduced record, from its unfiltered columns where it has them.
 
-    The rows of its free run count where they are marked; without ``plenum``, of shape (n_rows,),
-    the pressure of the plenum is hidden.
+    The rows of its free run count where they are marked; the pressure of the plenum is hidden.
     """
     phi, psi_p = series.phi, series.psi_p
     if series.phi_unfiltered is not None and series.psi_p_unfiltered is not None:
@@ -102,8 +101,7 @@ def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = 
     if series.free_run is not None and np.any(series.free_run > 0):
         inside = np.flatnonzero(series.free_run > 0)
         rows = slice(inside[0], inside[-1] + 1)
-    hidden = None if plenum is None else plenum[rows]
-    return discover_loop(phi[rows], psi_p[rows], hidden, series.sample_period_s)
+    return discover_loop(phi[rows], psi_p[rows], None, series.sample_period_s)
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:

@@ -16,11 +16,10 @@ from classic_ml.io.series import ledger_path, write_series
 from classic_ml.records import ledger_lines
 from comparisons.cli.options import SERIES_SUFFIXES
 from comparisons.cli.reduce import options_named, reduction_settings
-from comparisons.live.display import Terminal
 from comparisons.live.feeds import listening, piped
 from comparisons.live.monitor import Monitor
-from comparisons.live.page import Page
 from comparisons.live.pieces import Pieces, reduce_longest
+from comparisons.live.screens import Page, Terminal
 from comparisons.live.session import Session
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target

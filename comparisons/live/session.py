@@ -13,11 +13,11 @@ from typing import Any, Protocol
 
 from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.live.display import live_document
 from comparisons.live.feeds import Closed, Feed, Opened
 from comparisons.live.monitor import FEED, Monitor
 from comparisons.live.pieces import Pieces
 from comparisons.live.rows import Lines, RowOrder
+from comparisons.live.screens import live_document
 from surge_core.errors import InputError
 
 # The display moves this often, and no wait is longer.

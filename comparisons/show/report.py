@@ -34,7 +34,7 @@ from comparisons.results import (
     texts_of,
 )
 from comparisons.results.names import NAMES
-from comparisons.show import plots_curve, plots_record, plots_runs
+from comparisons.show import plots_curve, plots_record
 from comparisons.show.inspection import inspect_text
 from comparisons.show.structure_output import structure_parts
 from comparisons.show.table import work_table
@@ -148,7 +148,7 @@ def _parts(section: ReportSection) -> tuple[Part, ...]:
         *(plots_curve.characteristics(fit, truth) for fit, truth in section.fits),
         *_reconstructions(section),
         *_trial(section),
-        *map(plots_runs.errors_in_time, fits),
+        *map(plots_record.errors_in_time, fits),
     )
     equations = [
         Words(f"{result.label}:\n    {result.equation}", "code")
@@ -255,7 +255,7 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
         kinds = dict.fromkeys(fit.result(row.estimator).rows.kind for row in fit.table)
         pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
-        blocks += [plots_runs.reconstruction(fit, i, kind) for kind, i in pairs]
+        blocks += [plots_record.reconstruction(fit, i, kind) for kind, i in pairs]
     return (*blocks, *_left_out(section))
 
 
@@ -285,7 +285,7 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
     for run in runs:
         groups.setdefault((run.title, run.rows.kind), []).append(run)
-    return (*blocks, *map(plots_runs.validation, groups.values()))
+    return (*blocks, *map(plots_record.validation, groups.values()))
 
 
 def _checks_table(fit: Comparison) -> Table:

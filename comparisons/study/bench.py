@@ -13,12 +13,11 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import friedmanchisquare, rankdata, studentized_range
+from scipy.stats import friedmanchisquare, studentized_range
 
 from comparisons.harness.methods import ENTRY_POINTS, PEERS, method_name
 from comparisons.study.rigs import draw_of, rig_names
 from comparisons.study.spec import BUILT_IN, StudySpec, spec_from
-from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,19 +180,13 @@ def ranks_of(table: pd.DataFrame) -> Ranks:
     wide = fitted.pivot_table(
         index="record", columns="method", values="tau_error_ms", dropna=False, sort=False
     )
-    errors = wide.abs().fillna(np.inf).to_numpy()
-    ranks: FloatArray = np.apply_along_axis(rankdata, 1, errors)
+    ranks = wide.abs().fillna(np.inf).rank(axis=1)
     n, k = ranks.shape
-    mean = ranks.mean(axis=0)
-    order = np.argsort(mean, kind="stable")
-    p = float(friedmanchisquare(*ranks.T).pvalue) if k > 2 and n > 1 else math.nan
+    mean = ranks.mean().sort_values(kind="stable")
+    p = float(friedmanchisquare(*ranks.to_numpy().T).pvalue) if k > 2 and n > 1 else math.nan
     reach = float(studentized_range.ppf(1.0 - LEVEL, k, np.inf)) / math.sqrt(2.0)
-    return Ranks(
-        tuple(str(wide.columns[i]) for i in order),
-        tuple(float(mean[i]) for i in order),
-        p,
-        reach * math.sqrt(k * (k + 1) / (6.0 * n)),
-    )
+    critical = reach * math.sqrt(k * (k + 1) / (6.0 * n))
+    return Ranks(tuple(map(str, mean.index)), tuple(mean.tolist()), p, critical)
 
 
 def draw_ranks(ranks: Ranks) -> Figure:
