@@ -20,17 +20,7 @@ Run = tuple[str, list[bytes]]
 
 
 class Lines:
-    """Decode the lines of one connection; ``clock`` names the column with the clock.
-
-    Attributes
-    ----------
-    header, units : bytes
-        First line; second line where it is no row of numbers; empty before they have come.
-    names : list of str
-        Names of the columns.
-    ended : bool
-        Whether the end of the run was announced.
-    """
+    """Decode the lines of one connection; ``clock`` names the column with the clock."""
 
     def __init__(self, clock: str, refused: Counter[str]) -> None:
         self._clock = clock
@@ -38,9 +28,10 @@ class Lines:
         self._separator = b","
         self._place = 0
         self._n_lines = 0
-        self.names: list[str] = []
+        self.names: list[str] = []  # Of the columns
+        # The first line, and the second where it is no row of numbers; empty before they have come.
         self.header = self.units = b""
-        self.ended = False
+        self.ended = False  # Whether the end of the run was announced
 
     def take(self, lines: Iterable[bytes]) -> list[Row]:
         """Return the rows among the next lines of the connection, each with its clock."""

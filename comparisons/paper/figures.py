@@ -201,7 +201,7 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
     seen = {"phi": PAPER_PHI_985, "off": off, "true": _ends(true), "gap": _ends(gap)}
-    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.true_tau_s)
+    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.machine.tau_s)
     return _picture("pressure", figure, seen)
 
 
