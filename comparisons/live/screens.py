@@ -123,13 +123,11 @@ class Page:
                     f"localhost:{page.port}",
                 ):
                     return self.send_error(421)
-                if self.path == "/":
-                    content, kind = page._page, "text/html"
-                elif self.path == "/state.json":
-                    content = to_strict_json(page._document).encode("utf-8")
-                    kind = "application/json"
-                else:
+                state = to_strict_json(page._document).encode("utf-8")
+                kinds = {"/": (page._page, "text/html"), "/state.json": (state, "application/json")}
+                if self.path not in kinds:
                     return self.send_error(404)
+                content, kind = kinds[self.path]
                 self.send_response(200)
                 self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.send_header("Content-Length", str(len(content)))

@@ -172,7 +172,8 @@ def _pictures(
 
 def loop_document(loop: SurgeLoop) -> dict[str, Any]:
     """Return the document of `discover --json`, with branches, levels, τ and period."""
-    lag, stated = loop.lag, _runs_alike(loop)
+    # Of a loop that does not run as the record does no number is stated.
+    lag, stated = loop.lag, loop.state is FitState.OK
 
     def terms(part: Branch | Balance) -> list[dict[str, Any]]:
         return terms_json(part.terms, part.coefficients, part.stderr)
@@ -212,18 +213,13 @@ def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
     return (Part(f"Surge loop of {Path(source).name}", (state, *words, table)),)
 
 
-def _runs_alike(loop: SurgeLoop) -> bool:
-    """Return whether the loop runs as the record does: else none of its numbers is stated."""
-    return loop.state is FitState.OK
-
-
 def _loop_equations(loop: SurgeLoop) -> tuple[str, ...]:
-    return loop.equations() if _runs_alike(loop) else ()
+    return loop.equations() if loop.state is FitState.OK else ()
 
 
 def _loop_fields(loop: SurgeLoop) -> list[tuple[str, str]]:
     period = f"{loop.measured_cycles.period_s:.4f} s measured"
-    if not _runs_alike(loop):
+    if loop.state is not FitState.OK:
         return [("period", period)]
     lag = loop.lag
     tau = f"{1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} ms"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import rankdata
 
-from comparisons.study.scores import SCORES, Score, loss_label
+from comparisons.study.scores import SCORES, Score
 from comparisons.study.verdicts import Paired, verdicts_of
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
@@ -128,7 +128,7 @@ class GroupComparison(Displayed):
 
     def lead(self) -> str:
         """Return in one sentence which method is best and how far each is from the reference."""
-        label, unit = loss_label(self.score), self.score.unit
+        label, unit = self.score.loss_label, self.score.unit
         if not self.best:
             return f"{self.place}: no method has a value of {label}."
         best = self.row(self.best)
@@ -176,7 +176,7 @@ class GroupComparison(Displayed):
         fields = [Field("in short", self.lead())]
         if cautions := tuple(f"{row.method}: {row.trust}" for row in self.rows if row.trust):
             fields.append(Field("caution", cautions, "advice"))
-        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (shown,))
+        return Sheet(f"Methods by {self.score.loss_label}", tuple(fields), (shown,))
 
 
 def compare_methods(
