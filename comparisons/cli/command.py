@@ -19,7 +19,7 @@ class Command:
     """A command of `sindy-surge`; the module of its name gives the lines that are printed.
 
     ``arguments`` stand in the order of the help; ``add`` adds what is no plain argument, ahead of
-    them; ``formatter`` is how argparse sets the help.
+    them; ``more`` stands below the help as it is.
     """
 
     name: str
@@ -27,20 +27,19 @@ class Command:
     description: str
     arguments: tuple[Argument, ...]
     add: Callable[[argparse.ArgumentParser], None] | None = None
-    formatter: type[argparse.HelpFormatter] = argparse.HelpFormatter
+    more: str = ""
 
     def add_to(self, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         """Add the command to those of the parser."""
         parser = commands.add_parser(
-            self.name,
-            help=self.help,
-            description=self.description,
-            formatter_class=self.formatter,
+            self.name, help=self.help, description=self.description, epilog=self.more
         )
+        if self.more:
+            parser.formatter_class = argparse.RawDescriptionHelpFormatter
         if self.add is not None:
             self.add(parser)
         for each in self.arguments:
-            each.add_to(parser)
+            parser.add_argument(*each.flags, **each.details)
         parser.set_defaults(command=self)
 
     def carry_out(self, given: argparse.Namespace) -> None:
@@ -57,17 +56,17 @@ class Command:
         typed = [(each, getattr(given, each.name)) for each in self.arguments]
         read: list[Path] = []
         for each, value in typed:
-            if each.read and value is not None:
+            if each.file == "read" and value:
                 read += value if isinstance(value, list) else [value]
         for path in read:
             if not path.exists():
                 raise InputError(str(path), expected="a file that exists", found="no such file")
         for each, path in typed:
             # The nearest that is there must be a folder.
-            above = (path, *path.absolute().parents) if each.folder and path else ()
+            above = (path, *path.absolute().parents) if each.file == "folder" and path else ()
             if not next((place.is_dir() for place in above if place.exists()), True):
                 raise InputError(str(path), expected="a folder to write to", found="a file")
-        targets = [(path, each.suffixes) for each, path in typed if each.written and path]
+        targets = [(path, each.suffixes) for each, path in typed if each.file == "written" and path]
         for path, suffixes in targets:
             check_target(path, suffixes)
         if targets:

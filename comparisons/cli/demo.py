@@ -21,9 +21,8 @@ from comparisons.missing_effect import diagnose
 from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Picture
 from comparisons.results import Truth
-from comparisons.rig import RigRun, simulate, write_run
-from comparisons.show.report import ReportSection, report_pages, truth_list
-from comparisons.show.run_output import run_section
+from comparisons.rig import RigCase, RigRun, simulate, write_run
+from comparisons.show.report import ReportSection, report_pages, run_section, truth_list
 from surge_core.files import write_whole
 from surge_core.progress import shown_steps
 
@@ -148,11 +147,6 @@ def _simulated(folder: Path, case: str, seed: int, hide: str | None = None) -> t
 def _truth(rig: RigRun, target: str) -> Truth:
     """Return the rig's own in-stall characteristic over forward flow."""
     phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
-    known = rig.truth_parameters
-    if target == "psi_p":
-        curve = np.polynomial.polynomial.polyval(phi, known["beta"])
-    else:
-        bends = np.array([0.0, *known["psi_breaks"], TRUTH_TO_PHI])
-        rises = np.cumsum([0.0, *(known["psi_slopes"] * np.diff(bends))])
-        curve = np.interp(phi, bends, known["psi_intercept"] + rises)
-    return Truth(float(known["tau_s"]), phi, curve, "truth of the simulated rig")
+    machine = RigCase(**rig.truth_parameters["case"])
+    curve = {"psi_p": machine.in_stall_psi_p, "psi": machine.in_stall_psi}[target](phi)
+    return Truth(machine.tau_s, phi, curve, "truth of the simulated rig")

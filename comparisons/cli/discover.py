@@ -13,15 +13,17 @@ import pysindy as ps
 from classic_ml.description import FileLayout
 from classic_ml.io.csv import open_csv
 from classic_ml.io.series import read_series
-from comparisons.cli.discover_loop import (
-    discover_series_loop,
+from classic_ml.series import CoefficientSeries
+from comparisons.cli.output import command_line, page, write_asked
+from comparisons.show.discover_output import (
+    discover_document,
+    discover_report,
+    discover_text,
     loop_document,
     loop_parts,
     loop_text,
 )
-from comparisons.cli.output import command_line, page, write_asked
-from comparisons.show.discover_output import discover_document, discover_report, discover_text
-from sindy_surge import SparseDynamics
+from sindy_surge import SparseDynamics, SurgeLoop, discover_loop
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 from surge_core.types import FloatArray
@@ -85,6 +87,21 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
             report=lambda: page(f"Surge loop of {path.name}", [section]),
         )
     return *loop_text(found), *written
+
+
+def discover_series_loop(series: CoefficientSeries) -> SurgeLoop:
+    """Discover the loop of a reduced record, from its unfiltered columns where it has them.
+
+    The rows of its free run count where they are marked; the pressure of the plenum is hidden.
+    """
+    phi, psi_p = series.phi, series.psi_p
+    if series.phi_unfiltered is not None and series.psi_p_unfiltered is not None:
+        phi, psi_p = series.phi_unfiltered, series.psi_p_unfiltered
+    rows = slice(None)
+    if series.free_run is not None and np.any(series.free_run > 0):
+        inside = np.flatnonzero(series.free_run > 0)
+        rows = slice(inside[0], inside[-1] + 1)
+    return discover_loop(phi[rows], psi_p[rows], None, series.sample_period_s)
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:

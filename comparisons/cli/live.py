@@ -16,11 +16,10 @@ from classic_ml.io.series import ledger_path, write_series
 from classic_ml.records import ledger_lines
 from comparisons.cli.options import SERIES_SUFFIXES
 from comparisons.cli.reduce import options_named, reduction_settings
-from comparisons.live.display import Terminal
-from comparisons.live.feeds import Feed, listening, piped
+from comparisons.live.feeds import listening, piped
 from comparisons.live.monitor import Monitor
-from comparisons.live.page import Page
 from comparisons.live.pieces import Pieces, reduce_longest
+from comparisons.live.screens import Page, Terminal
 from comparisons.live.session import Session
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target
@@ -41,7 +40,9 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         for screen in screens:
             ends.callback(screen.close)
         monitor = Monitor(test, settings, Path(scratch))
-        session = Session(test, _feed(given), Pieces(raw), monitor, screens, given.timeout)
+        address = given.listen or given.unix
+        feed = listening(address) if address is not None else piped(sys.stdin.fileno())
+        session = Session(test, feed, Pieces(raw), monitor, screens, given.timeout)
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             if hasattr(signal, name):
                 before = signal.signal(getattr(signal, name), lambda which, _: session.stop(which))
@@ -80,9 +81,3 @@ def _targets(given: argparse.Namespace) -> tuple[Path, Path]:
             remedy="it may be the record of a session that was cut off: reduce it, or move it away",
         )
     return out, raw
-
-
-def _feed(given: argparse.Namespace) -> Feed:
-    if given.listen is not None or given.unix is not None:
-        return listening(given.listen or given.unix)
-    return piped(sys.stdin.fileno())

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 LONGEST_TAU_S = 10.0
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
@@ -17,28 +17,13 @@ TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 
 @dataclass(frozen=True)
 class Argument:
-    """One argument of a command, as argparse takes it, and whether it is a file.
+    """One argument of a command, as argparse takes it, and whether it is a file."""
 
-    Parameters
-    ----------
-    flags : tuple of str
-        Its names.
-    details : dict
-        Further arguments of ``add_argument``.
-    read : bool
-        A file that must exist.
-    written, folder : bool
-        A file that is written; a folder to write to, which need not exist.
-    suffixes : tuple of str
-        Those that a written file may have; any where none are listed.
-    """
-
-    flags: tuple[str, ...]
-    details: dict[str, Any]
-    read: bool = False
-    written: bool = False
-    folder: bool = False
-    suffixes: tuple[str, ...] = ()
+    flags: tuple[str, ...]  # Its names
+    details: dict[str, Any]  # Further arguments of ``add_argument``
+    # A file that must exist, one that is written, or a folder to write to, which need not exist.
+    file: Literal["", "read", "written", "folder"] = ""
+    suffixes: tuple[str, ...] = ()  # Those that a written file may have; any where none are listed
 
     @property
     def name(self) -> str:
@@ -46,30 +31,25 @@ class Argument:
         long = next((flag for flag in self.flags if flag.startswith("--")), self.flags[0])
         return str(self.details.get("dest", long.lstrip("-").replace("-", "_")))
 
-    def add_to(self, parser: argparse._ActionsContainer) -> None:
-        """Add the argument to a parser, or to a group of one."""
-        parser.add_argument(*self.flags, **self.details)
-
 
 def argument(*flags: str, **details: Any) -> Argument:
     """Return an argument that is no file, or a file that its command checks."""
     return Argument(flags, details)
 
 
-def reads(*flags: str, metavar: str, **details: Any) -> Argument:
+def reads(*flags: str, **details: Any) -> Argument:
     """Return an argument for files that are read."""
-    return Argument(flags, {"type": Path, "metavar": metavar, **details}, read=True)
+    return Argument(flags, {"type": Path, **details}, "read")
 
 
-def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details: Any) -> Argument:
+def writes(*flags: str, suffixes: tuple[str, ...] = (), **details: Any) -> Argument:
     """Return an argument for a file that is written."""
-    details = {"type": Path, "metavar": metavar, **details}
-    return Argument(flags, details, written=True, suffixes=suffixes)
+    return Argument(flags, {"type": Path, **details}, "written", suffixes)
 
 
 def folder(*flags: str, **details: Any) -> Argument:
     """Return an argument for a folder to write to, which need not exist yet."""
-    return Argument(flags, {"type": Path, "metavar": "DIR", **details}, folder=True)
+    return Argument(flags, {"type": Path, "metavar": "DIR", **details}, "folder")
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:

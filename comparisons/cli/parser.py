@@ -11,7 +11,6 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from comparisons.cli import commands_records, commands_rigs
-from comparisons.cli.commands_live import LIVE
 from surge_core.errors import InputError
 
 EXIT_DONE = 0
@@ -28,7 +27,7 @@ COMMANDS = (
     commands_rigs.SIMULATE,
     commands_records.INSPECT,
     commands_records.REDUCE,
-    LIVE,
+    commands_records.LIVE,
     commands_records.COMPARE,
     commands_records.RECONSTRUCT,
     commands_records.DIAGNOSE,

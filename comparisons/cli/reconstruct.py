@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from classic_ml.io.series import read_series
 from comparisons.cli.output import page, write_asked
@@ -43,20 +42,16 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     written = write_asked(
         given,
         out=runs[0].to_csv,
-        json=lambda: _document(runs, recommended),
+        json=lambda: {
+            "schema": "sindy-surge/reconstruct/1",
+            "recommended": recommended,
+            "reconstructions": [run.to_json() for run in runs],
+        },
         report=lambda: _page(runs),
     )
     words = f"recommended by compare for ψ': {recommended}, whose τ and curve are to be quoted."
     shown = recommended in models and any(run.model.target == "psi_p" for run in runs)
     return reconstruction_table(runs), *([words] if shown else []), *written
-
-
-def _document(runs: Sequence[Reconstruction], recommended: str | None) -> dict[str, Any]:
-    return {
-        "schema": "sindy-surge/reconstruct/1",
-        "recommended": recommended,
-        "reconstructions": [run.to_json() for run in runs],
-    }
 
 
 def _page(runs: Sequence[Reconstruction]) -> str:

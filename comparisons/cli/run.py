@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from classic_ml.io.series import write_series
 from comparisons.analysis import STEPS, analyse
 from comparisons.cli.output import page, take_away, working
-from comparisons.show.report import report_pages
-from comparisons.show.run_output import run_document, run_section
+from comparisons.show.json_output import run_document
+from comparisons.show.report import report_pages, run_section
 from surge_core.files import check_apart, to_strict_json, write_whole
 from surge_core.progress import shown_steps
 

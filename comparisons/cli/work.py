@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from classic_ml.io import read_raw
 from comparisons.cli.output import fitting, write_asked
 from comparisons.harness.work_fit import fit_work
-from comparisons.show.work_output import work_document, work_table
+from comparisons.show.json_output import work_document
+from comparisons.show.table import work_table
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 

@@ -172,13 +172,12 @@ class SurgeDetector:
             if not self.surging:
                 self.surging, self._counter = True, CycleCounter(self._rate_hz)
                 return [self._begun("surge", time_s, self._reversed_rows)]
-        elif self.surging and time_s - self._last_reversal_s > self._quiet_s():
+        elif self.surging and time_s - self._last_reversal_s > np.fmax(
+            QUIET_S, QUIET_PERIODS * self.period_s
+        ):
             self.surging = False
             return [Sighting("recovered", self._last_reversal_s - self._late_s, time_s)]
         return []
-
-    def _quiet_s(self) -> float:
-        return float(np.fmax(QUIET_S, QUIET_PERIODS * self.period_s))
 
     def _cycle(self, time_s: float, pressure_Pa: float) -> list[Sighting]:
         trough_s = self._counter.take(time_s, pressure_Pa)

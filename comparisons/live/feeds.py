@@ -38,23 +38,12 @@ Arrival = Opened | list[bytes] | Closed
 
 @dataclass
 class Feed:
-    """Lines of one connection after another, as they come.
+    """Lines of one connection after another, as they come."""
 
-    Parameters
-    ----------
-    waiting : str
-        What is waited for while there is no connection.
-    read : callable
-        Puts arrivals into the feed; run in a thread that ends with the process.
-    comes_back : bool
-        Whether another sender may come where one was no good.
-    """
-
-    waiting: str
-    read: Callable[[Feed], None]
-    comes_back: bool = True
-    # Ends the present connection.
-    refuse: Callable[[], object] = lambda: None
+    waiting: str  # What is waited for while there is no connection
+    read: Callable[[Feed], None]  # Puts arrivals into the feed, in a thread that ends with us
+    comes_back: bool = True  # Whether another sender may come where one was no good
+    refuse: Callable[[], object] = lambda: None  # Ends the present connection
     arrivals: queue.Queue[Arrival] = field(default_factory=lambda: queue.Queue(WAITING_CHUNKS))
 
     def start(self) -> None:

@@ -34,19 +34,6 @@ class Monitor:
     """Follow the machine: operating point, stall and surge, running estimate.
 
     Rows are read like files, from a folder of their own (``scratch``).
-
-    Attributes
-    ----------
-    head : bytes
-        Header and units of the rows.
-    point : dict of str to float
-        The newest operating point; empty before there is one.
-    trail : deque of tuple of float
-        Time, φ and ψ' of the last seconds, thinned out.
-    estimate : Estimate or None
-        The newest one.
-    detector : SurgeDetector
-        With the state of the machine.
     """
 
     def __init__(self, test: TestDescription, settings: ReductionSettings, scratch: Path) -> None:
@@ -64,10 +51,11 @@ class Monitor:
         self._problem = ""
         self._is_matched = bool(test.near_stall_shifts)
         self.detector = SurgeDetector(test)
+        # Time, φ and ψ' of the last seconds, thinned out.
         self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
-        self.head = b""
-        self.point: dict[str, float] = {}
-        self.estimate: Estimate | None = None
+        self.head = b""  # Header and units of the rows
+        self.point: dict[str, float] = {}  # The newest operating point
+        self.estimate: Estimate | None = None  # The newest one
         self.restart()
 
     def restart(self) -> None:

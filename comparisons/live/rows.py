@@ -14,30 +14,13 @@ END_LINE = b"#end"
 # a row whose clock was garbled.
 ROWS_TO_BELIEVE = 16
 
-TEXT_FORMAT = f"""\
-The feed is lines of text, as `cat raw.csv` gives them. The first line of every connection holds the
-names of the columns, the second one may hold their units, every further one a row of plain decimal
-numbers. Between them stand commas, semicolons or tabs; beside the latter two a comma may be the
-decimal sign. Lines that begin with # count for nothing, but for "{END_LINE.decode()}", which ends
-the run."""
-
 # Clock and line of a row; what is missing before rows, empty where they follow on, and their lines.
 Row = tuple[float, bytes]
 Run = tuple[str, list[bytes]]
 
 
 class Lines:
-    """Decode the lines of one connection; ``clock`` names the column with the clock.
-
-    Attributes
-    ----------
-    header, units : bytes
-        First line; second line where it is no row of numbers; empty before they have come.
-    names : list of str
-        Names of the columns.
-    ended : bool
-        Whether the end of the run was announced.
-    """
+    """Decode the lines of one connection; ``clock`` names the column with the clock."""
 
     def __init__(self, clock: str, refused: Counter[str]) -> None:
         self._clock = clock
@@ -45,9 +28,10 @@ class Lines:
         self._separator = b","
         self._place = 0
         self._n_lines = 0
-        self.names: list[str] = []
+        self.names: list[str] = []  # Of the columns
+        # The first line, and the second where it is no row of numbers; empty before they have come.
         self.header = self.units = b""
-        self.ended = False
+        self.ended = False  # Whether the end of the run was announced
 
     def take(self, lines: Iterable[bytes]) -> list[Row]:
         """Return the rows among the next lines of the connection, each with its clock."""

@@ -13,11 +13,11 @@ from typing import Any, Protocol
 
 from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.live.display import live_document
 from comparisons.live.feeds import Closed, Feed, Opened
 from comparisons.live.monitor import FEED, Monitor
 from comparisons.live.pieces import Pieces
 from comparisons.live.rows import Lines, RowOrder
+from comparisons.live.screens import live_document
 from surge_core.errors import InputError
 
 # The display moves this often, and no wait is longer.
@@ -85,7 +85,7 @@ class Session:
             while not self._why_stopped:
                 self._step()
             self.order.close()
-            self._say_all(self.monitor.update())
+            self.say(*self.monitor.update())
         except InputError:
             # The first rows were refused: there is no record.
             self.pieces.discard()
@@ -93,7 +93,7 @@ class Session:
         finally:
             notes = self.monitor.close()
         left_out = [f"{count} x {why}" for why, count in sorted(self.refused.items())]
-        self._say_all([*notes, *(f"left out: {words}" for words in left_out)])
+        self.say(*notes, *(f"left out: {words}" for words in left_out))
         self.say(f"ended: {self._why_stopped}")
         self.show("reducing")
         if not self.pieces.pieces:
@@ -133,16 +133,13 @@ class Session:
         for screen in self.screens:
             screen.show(document)
 
-    def say(self, text: str) -> None:
-        """Add a sentence to the log, with the time of day."""
-        event = f"{datetime.now():%H:%M:%S} {text}"
-        self._events.append(event)
-        for screen in self.screens:
-            screen.say(event)
-
-    def _say_all(self, notes: Sequence[str]) -> None:
-        for text in notes:
-            self.say(text)
+    def say(self, *texts: str) -> None:
+        """Add sentences to the log, with the time of day."""
+        for text in texts:
+            event = f"{datetime.now():%H:%M:%S} {text}"
+            self._events.append(event)
+            for screen in self.screens:
+                screen.say(event)
 
     def _step(self) -> None:
         """Work on what has come by now, and update the display when it is time."""
@@ -158,11 +155,11 @@ class Session:
                 self.say(f"connection lost: {arrival.why}; {self.feed.waiting}")
         elif arrival is not None and self._lines is not None:
             self._take(self._lines, arrival)
-        self._say_all(self.monitor.poll())
+        self.say(*self.monitor.poll())
         if self._quiet_s > self.timeout_s:
             self.stop(f"no data for {self.timeout_s:g} s")
         if time.monotonic() - self._shown_s > TICK_S:
-            self._say_all(self.monitor.update())
+            self.say(*self.monitor.update())
             self._shown_s = time.monotonic()
             self.show("running" if self.pieces.pieces else "waiting")
 
@@ -174,14 +171,14 @@ class Session:
             return
         for gap, kept in self.order.take(rows):
             if gap or not self.pieces.pieces:
-                self._say_all(self.monitor.update())
+                self.say(*self.monitor.update())
                 if gap:
                     self.say(f"a new piece of the record begins: {gap}")
                 self.pieces.begin(gap)
                 self.monitor.head = self.pieces.head
                 self.monitor.restart()
             self.pieces.append(kept)
-            self._say_all(self.monitor.take(kept))
+            self.say(*self.monitor.take(kept))
         if rows:
             # Behind the work on them, which is no silence of the feed.
             self._heard_s = time.monotonic()

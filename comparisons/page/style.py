@@ -28,6 +28,7 @@ FAINT = "#b8b8b8"
 ACCENT = "#0072B2"
 MARK = "#D55E00"
 SHADE = "#f0ece0"
+PHI = r"flow coefficient $\varphi$ [-]"
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,25 @@ def dress(ax: Axes) -> Axes:
     ax.grid(True, color="#e4e4e4", linewidth=0.6)
     ax.set_axisbelow(True)
     return ax
+
+
+def panel(
+    x: str, y: str, height_in: float = 5.0, width_in: float = WIDTH_IN
+) -> tuple[Figure, Axes]:
+    """Return an empty figure of one panel, with the words below and beside it."""
+    figure = new_figure(width_in, height_in)
+    ax = dress(figure.add_subplot())
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    return figure, ax
+
+
+def strips(n: int, height_in: float, x: str, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Return an empty figure of panels one below the other over one axis, with its words."""
+    figure = new_figure(height_in=height_in)
+    panels = [dress(ax) for ax in figure.subplots(n, 1, sharex=True, squeeze=False, **options).flat]
+    panels[-1].set_xlabel(x)
+    return figure, panels
 
 
 def legend(ax: Axes, **options: Any) -> None:

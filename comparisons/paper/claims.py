@@ -39,16 +39,16 @@ def check_claims(
     A claim of the kind "tested" that is not of one machine must hold on more than half of the other
     machines too.
     """
-    return tuple(_over_machines(check_claim(runs, n), others) for n in progress(CHECKS))
-
-
-def _over_machines(claim: Claim, others: Sequence[Instabilities]) -> Claim:
-    if claim.kind != "tested" or not others:
-        return claim
-    found = [_holds_on(runs, claim.id) for runs in others]
-    machines = tuple(holds for holds in found if holds is not None)
-    most = claim.id in OF_ONE_MACHINE or 2 * sum(machines) > len(machines)
-    return replace(claim, holds=claim.holds and most, machines=machines)
+    claims = []
+    for number in progress(CHECKS):
+        claim = check_claim(runs, number)
+        if claim.kind == "tested" and others:
+            found = [_holds_on(other, number) for other in others]
+            machines = tuple(holds for holds in found if holds is not None)
+            most = number in OF_ONE_MACHINE or 2 * sum(machines) > len(machines)
+            claim = replace(claim, holds=claim.holds and most, machines=machines)
+        claims.append(claim)
+    return tuple(claims)
 
 
 def _holds_on(runs: Instabilities, number: int) -> bool | None:

@@ -89,7 +89,7 @@ def regimes(runs: Instabilities) -> Findings:
     """Check which thresholds split the cycles into the two regimes."""
     run = runs[MAIN]
     flow = run.paper.record["Wc25_kg_s"] / LBM_KG
-    stalls = _intervals(run.stalled & run.window)
+    stalls = _intervals((run.rig.truth["in_stall"] > 0.5) & run.window)
     split = [
         threshold
         for threshold in range(10, 91)
@@ -185,7 +185,7 @@ def _slope(curve: Callable[[FloatArray], ArrayLike]) -> float:
 def slow_dynamics(runs: Instabilities) -> Findings:
     """Check for a time constant that is far too long, looked for at 98.5 % speed."""
     run = runs[MAIN]
-    found_ms, true_ms = 1e3 * run.fits["psi_p"].time_constant_s, 1e3 * run.true_tau_s
+    found_ms, true_ms = 1e3 * run.fits["psi_p"].time_constant_s, 1e3 * run.machine.tau_s
     slow = fit_paper(reduce_run(simulate("blowdown", seed=run.seed)).series)
     others = {}
     for threshold in WIDE_LBM_S:
@@ -310,7 +310,7 @@ def disturbances(runs: Instabilities) -> Findings:
         float(np.sqrt(np.mean((values / truth - 1.0) ** 2)))
         for values, truth in (
             (curves, main.machine.in_stall_psi_p(CURVE_PHI)),
-            (taus, main.true_tau_s),
+            (taus, main.machine.tau_s),
         )
     )
     _, ramped = _ramped(main)

@@ -21,10 +21,10 @@ from comparisons.page.style import (
     INK,
     MARK,
     MEASURED,
+    PHI,
     broken,
-    dress,
     legend_above,
-    new_figure,
+    panel,
     robust_limits,
 )
 from comparisons.paper.claims_identification import steady_points
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PHI = r"flow coefficient $\varphi$ [-]"
 TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
 HEIGHT_IN = 5.4
 # How the rig's own signals and curves are drawn in every picture.
@@ -85,14 +84,6 @@ def _ends(values: FloatArray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _panel(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = new_figure(height_in=HEIGHT_IN)
-    ax = dress(figure.add_subplot())
-    ax.set_xlabel(x)
-    ax.set_ylabel(y)
-    return figure, ax
-
-
 def _spectra(run: InstabilityRun) -> Picture:
     """Draw Fig 4 and 5: stall cells in the inlet pressure, and what the filters leave of them."""
     settings, rate_hz = run.paper.settings, run.rig.raw.sample_rate_hz
@@ -101,7 +92,7 @@ def _spectra(run: InstabilityRun) -> Picture:
         order: low_pass(plain, rate_hz, order=order, cutoff_hz=settings.cutoff_hz, phase="causal")
         for order in ORDERS
     }
-    figure, ax = _panel("frequency [Hz]", "power spectral density [psi²/Hz]")
+    figure, ax = panel("frequency [Hz]", "power spectral density [psi²/Hz]", HEIGHT_IN)
     density: dict[int, FloatArray] = {}
     for order, signal in signals.items():
         frequency, density[order] = power_spectrum(signal[run.window], rate_hz)
@@ -126,8 +117,8 @@ def _migration(run: InstabilityRun) -> Picture:
     record, rows = run.paper.record, run.window
     flow, ratio = record["Wc25_kg_s"] / LBM_KG, record["pressure_ratio"]
     stalled = flow < THRESHOLD_LBM_S
-    figure, ax = _panel(
-        "inlet corrected flow $W_{c25}$ [lbm/s]", "pressure ratio $P_{31}/P_{25}$ [-]"
+    figure, ax = panel(
+        "inlet corrected flow $W_{c25}$ [lbm/s]", "pressure ratio $P_{31}/P_{25}$ [-]", HEIGHT_IN
     )
     for state, colour, word in (
         (stalled, ACCENT, "in stall"),
@@ -196,7 +187,7 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
     model = run.fits["psi_p"]
-    figure, ax = _panel(PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]")
+    figure, ax = panel(PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]", HEIGHT_IN)
     _curve(ax, model, PAPER_PHI_985, ACCENT, "estimate, 98.5 % speed, ± 2 s.e.", grid)
     ax.plot(grid, run.machine.in_stall_psi_p(grid), **TRUTH, label="truth of the rig")
     phi, psi_p, spread = steady_points(steady.paper.series)
@@ -210,7 +201,7 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
     seen = {"phi": PAPER_PHI_985, "off": off, "true": _ends(true), "gap": _ends(gap)}
-    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.true_tau_s)
+    seen["tau"] = (1e3 * model.time_constant_s, 1e3 * run.machine.tau_s)
     return _picture("pressure", figure, seen)
 
 
@@ -218,7 +209,7 @@ def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     """Draw Fig 25: ψ'_QS and ψ_QS at 90 % beside the truth."""
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
-    figure, ax = _panel(PHI, "quasi-steady coefficient [-]")
+    figure, ax = panel(PHI, "quasi-steady coefficient [-]", HEIGHT_IN)
     off, case = {}, run.machine
     for target, truth, colour, symbol in (
         ("psi_p", case.in_stall_psi_p, ACCENT, r"$\psi'_{\mathrm{QS}}$"),
@@ -242,7 +233,7 @@ def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None
 
 def _over_time(*shown: tuple[Reconstruction, str, Any]) -> Figure:
     """Draw measured ψ' and reconstructions of it over the first second of the window."""
-    figure, ax = _panel(TIME, ACTUAL)
+    figure, ax = panel(TIME, ACTUAL, HEIGHT_IN)
     rows = shown[0][0].rows
     pieces = runs_of(rows.labels, rows.measured.size)
     actual = broken(rows.time_s, rows.measured, pieces)

@@ -78,16 +78,6 @@ class InstabilityRun:
         return np.asarray(self.paper.record["window"] > 0.5)
 
     @property
-    def stalled(self) -> BoolArray:
-        """The rows in which the rig itself is in stall, of shape (n,)."""
-        return np.asarray(self.rig.truth["in_stall"] > 0.5)
-
-    @property
-    def true_tau_s(self) -> float:
-        """The time constant that the rig was built with, in seconds."""
-        return float(self.rig.truth_parameters["tau_s"])
-
-    @property
     def seed(self) -> int:
         """The seed of the rig's sensors."""
         return int(self.rig.truth_parameters["seed"])

@@ -248,7 +248,11 @@ class Comparison(Displayed):
     def _sheet(self) -> Sheet:
         rows = self.first.rows
         low, high = self.valid_phi
-        cautions = texts_of(self.cautions)
+        cautions, quoted = texts_of(self.cautions), "none of these"
+        if self.recommended is not None:
+            model = self.result(self.recommended).model
+            tau = round_to_error(1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s)
+            quoted = f"{tau} ms by {self.recommended}"
         fields = (
             Field("records", tuple(PurePath(record.source).name for record in self.records)),
             Field(
@@ -256,18 +260,10 @@ class Comparison(Displayed):
                 f"{rows.phi.size} in {rows.n_segments} segments, {1 / rows.sample_period_s:g} Hz",
             ),
             Field("φ dwells", f"{low:.3f} to {high:.3f} (5th to 95th percentile)"),
-            Field("τ to quote", _quoted(self)),
+            Field("τ to quote", quoted),
             *((Field("cautions", cautions, "advice"),) if cautions else ()),
         )
         return Sheet(f"Comparison of {len(self.results)} estimators", fields, (self.grid(),))
-
-
-def _quoted(comparison: Comparison) -> str:
-    if comparison.recommended is None:
-        return "none of these"
-    model = comparison.result(comparison.recommended).model
-    tau = round_to_error(1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s)
-    return f"{tau} ms by {comparison.recommended}"
 
 
 def _cells(row: ComparisonRow, result: EstimatorResult) -> tuple[str, ...]:

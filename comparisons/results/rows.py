@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from surge_core.segments import runs_of
@@ -74,16 +74,8 @@ class FitRows:
 
     def part(self, keep: BoolArray) -> FitRows:
         """Return some of the filtered rows."""
-        return FitRows(
-            self.phi[keep],
-            self.measured[keep],
-            self.time_s[keep],
-            self.labels[keep],
-            self.record[keep],
-            self.sample_period_s,
-            self.target,
-            self.train[keep],
-        )
+        columns = ("phi", "measured", "time_s", "labels", "record", "train")
+        return replace(self, **{name: getattr(self, name)[keep] for name in columns})
 
 
 @dataclass(frozen=True)

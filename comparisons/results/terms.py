@@ -24,32 +24,22 @@ def _power(phi: FloatArray, exponent: str | None) -> FloatArray:
     return out
 
 
-_Rule = tuple[re.Pattern[str], Callable[[FloatArray, re.Match[str]], FloatArray]]
-_RULES: tuple[_Rule, ...] = (
-    (re.compile(r"1"), lambda phi, _: np.ones_like(phi)),
-    (re.compile(rf"phi(?:\^{_EXPONENT})?"), lambda phi, m: _power(phi, m[1])),
-    (
-        re.compile(rf"phi(?:\^{_EXPONENT})?\[phi<0\]"),
-        lambda phi, m: np.where(phi < 0.0, _power(phi, m[1]), 0.0),
-    ),
-    (
-        re.compile(rf"relu\(phi(?:([-+])({_NUMBER}))?\)"),
-        lambda phi, m: np.maximum(phi - _hinge_at(m), 0.0),
-    ),
-    (
-        re.compile(rf"exp\(-phi/({_NUMBER})\)"),
-        lambda phi, m: np.exp(-phi / float(m[1])),
-    ),
-    (re.compile(rf"min\(phi,({_NUMBER})\)"), lambda phi, m: np.minimum(phi, float(m[1]))),
-    (
-        re.compile(rf"clip\(phi-({_NUMBER}),0,({_NUMBER})\)"),
-        lambda phi, m: np.clip(phi - float(m[1]), 0.0, float(m[2])),
-    ),
-)
+def _hinge(phi: FloatArray, sign: str | None, at: str | None) -> FloatArray:
+    return np.maximum(phi + (1.0 if sign == "+" else -1.0) * float(at or 0.0), 0.0)
 
 
-def _hinge_at(match: re.Match[str]) -> float:
-    return (-1.0 if match[1] == "+" else 1.0) * float(match[2] or 0.0)
+# How names look, and the function of φ and of what the brackets of the pattern hold.
+_RULES: dict[str, Callable[..., FloatArray]] = {
+    r"1": np.ones_like,
+    rf"phi(?:\^{_EXPONENT})?": _power,
+    rf"phi(?:\^{_EXPONENT})?\[phi<0\]": lambda phi, n: np.where(phi < 0.0, _power(phi, n), 0.0),
+    rf"relu\(phi(?:([-+])({_NUMBER}))?\)": _hinge,
+    rf"exp\(-phi/({_NUMBER})\)": lambda phi, scale: np.exp(-phi / float(scale)),
+    rf"min\(phi,({_NUMBER})\)": lambda phi, top: np.minimum(phi, float(top)),
+    rf"clip\(phi-({_NUMBER}),0,({_NUMBER})\)": lambda phi, low, high: np.clip(
+        phi - float(low), 0.0, float(high)
+    ),
+}
 
 
 def is_known_term(name: str) -> bool:
@@ -89,13 +79,13 @@ def evaluate_terms(names: list[str], phi: ArrayLike) -> FloatArray:
                 "min(phi,0.1) or clip(phi-0.1,0,0.2)",
                 found="a name of another form",
             )
-        columns.append(rule(points))
+        function, held = rule
+        columns.append(function(points, *held))
     return np.column_stack(columns) if columns else np.zeros((points.size, 0))
 
 
-def _rule(name: str) -> Callable[[FloatArray], FloatArray] | None:
-    for pattern, function in _RULES:
-        match = pattern.fullmatch(name)
-        if match is not None:
-            return lambda phi, f=function, m=match: f(phi, m)  # type: ignore[misc]
+def _rule(name: str) -> tuple[Callable[..., FloatArray], tuple[str | None, ...]] | None:
+    for pattern, function in _RULES.items():
+        if match := re.fullmatch(pattern, name):
+            return function, match.groups()
     return None

@@ -1,20 +1,25 @@
-"""Discovered equations as text, JSON and page."""
+"""Discovered equations, and the discovered loop of a series, as text, JSON and page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
-from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from comparisons.page.style import FAINT, legend_above, panel, strips
 from sindy_surge.discover.dynamics import SparseDynamics
 from sindy_surge.discover.equations import Rival, Term
+from sindy_surge.discover.loop_balance import Balance
+from sindy_surge.discover.loop_lag import Branch
+from sindy_surge.discover.loops import SurgeLoop
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
+from surge_core.terms import terms_json
 from surge_core.types import FloatArray
 
 DISCOVER_SCHEMA = "sindy-surge/discover/1"
@@ -46,13 +51,8 @@ def _stated(model: SparseDynamics) -> bool:
 def _equations(
     model: SparseDynamics, equations: tuple[tuple[Term, ...], ...]
 ) -> list[dict[str, Any]]:
-    return [
-        {
-            "state": state,
-            "terms": [asdict(term) for term in terms],
-        }
-        for state, terms in zip(model.state_names_, equations, strict=True)
-    ]
+    named = zip(model.state_names_, equations, strict=True)
+    return [{"state": state, "terms": list(map(asdict, terms))} for state, terms in named]
 
 
 def discover_text(model: SparseDynamics) -> str:
@@ -137,13 +137,11 @@ def _pictures(
     """Draw the first trajectory over time, and the first two states against each other."""
     first, n = len(x[0]), x[0].shape[1]
     estimated, measured, names = model.x_[:first], x[0], model.state_names_
-    figure = new_figure(height_in=1.2 + 1.5 * n)
-    panels = np.atleast_1d(np.asarray(figure.subplots(n, 1, sharex=True)))
+    figure, panels = strips(n, 1.2 + 1.5 * n, "time [s]")
     for j, ax in enumerate(panels):
-        dress(ax).plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")
+        ax.plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")
         ax.plot(t[0], estimated[:, j], color=DISCOVERED, lw=1.2, label="equations")
         ax.set_ylabel(names[j])
-    panels[-1].set_xlabel("time [s]")
     legend_above(figure, panels[0])
     left = np.sqrt(np.mean((measured - estimated[:, :n]) ** 2, axis=0))
     words = ", ".join(f"{name} {rms:.2g}" for name, rms in zip(names, left, strict=False))
@@ -157,12 +155,9 @@ def _pictures(
     ]
     if n < 2:
         return pictures
-    figure = new_figure(height_in=5.0)
-    ax = dress(figure.subplots())
+    figure, ax = panel(names[0], names[1])
     ax.plot(measured[:, 0], measured[:, 1], ".", ms=2, color=FAINT, label="measured")
     ax.plot(estimated[:, 0], estimated[:, 1], color=DISCOVERED, lw=1.2, label="equations")
-    ax.set_xlabel(names[0])
-    ax.set_ylabel(names[1])
     legend_above(figure, ax)
     pictures.append(
         Picture(
@@ -173,3 +168,66 @@ def _pictures(
         )
     )
     return pictures
+
+
+def loop_document(loop: SurgeLoop) -> dict[str, Any]:
+    """Return the document of `discover --json`, with branches, levels, τ and period."""
+    # Of a loop that does not run as the record does no number is stated.
+    lag, stated = loop.lag, loop.state is FitState.OK
+
+    def terms(part: Branch | Balance) -> list[dict[str, Any]]:
+        return terms_json(part.terms, part.coefficients, part.stderr)
+
+    names = ("recover_phi", "stall_phi")
+    levels = zip(names, lag.levels, lag.levels_stderr, strict=False)
+    tau = {"value": lag.time_constant_s, "stderr": lag.time_constant_stderr_s}
+    equations = [
+        {"state": "phi", "terms": terms(loop.duct)},
+        {"state": "plenum", "terms": terms(loop.plenum)},
+    ]
+    return {
+        "schema": DISCOVER_SCHEMA,
+        "equations": equations if stated else [],
+        "branches": [{"name": b.name, "terms": terms(b)} for b in lag.branches if stated],
+        "levels": {n: {"value": v, "stderr": error} for n, v, error in levels if stated},
+        "time_constant_s": tau if stated else dict.fromkeys(tau),
+        "period_s": {"measured": loop.measured_cycles.period_s, "simulated": loop.period_s},
+        "rivals": [],
+        "fit_state": {"code": loop.state.code, "advice": loop.state.advice},
+    }
+
+
+def loop_text(loop: SurgeLoop) -> tuple[str, ...]:
+    """Return what the terminal shows."""
+    fields = (f"{name}: {value}" for name, value in _loop_fields(loop))
+    return (f"{loop.state}: {loop.state.advice}", *_loop_equations(loop), *fields)
+
+
+def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
+    """Return the section of the report."""
+    rows = tuple(_loop_fields(loop))
+    table = Table("What the loop measures", (Head("quantity"), Head("value", prose=True)), rows)
+    tone = "plain" if loop.state is FitState.OK else "caution"
+    state = Words(f"{loop.state}: {loop.state.advice}.", tone)
+    words = map(Words, _loop_equations(loop))
+    return (Part(f"Surge loop of {Path(source).name}", (state, *words, table)),)
+
+
+def _loop_equations(loop: SurgeLoop) -> tuple[str, ...]:
+    return loop.equations() if loop.state is FitState.OK else ()
+
+
+def _loop_fields(loop: SurgeLoop) -> list[tuple[str, str]]:
+    period = f"{loop.measured_cycles.period_s:.4f} s measured"
+    if loop.state is not FitState.OK:
+        return [("period", period)]
+    lag = loop.lag
+    tau = f"{1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} ms"
+    fields = [("branches", str(loop.n_branches)), ("time constant", tau)]
+    names = ("unstalled once φ rises through", "stalled once φ falls through")
+    for name, level, error in zip(names, lag.levels, lag.levels_stderr, strict=False):
+        fields.append((name, f"{level:.4f} ± {error:.4f}"))
+    simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
+    fields.append(("period", f"{period}, {simulated} simulated"))
+    fields.append(("plenum pressure", "hidden" if loop.plenum_hidden else "measured"))
+    return fields

@@ -55,7 +55,8 @@ def write_figures(
             replace_whole(path, partial(_save, figure, kind))
         figure.set_size_inches(wide, high)
     for number, table in enumerate(tables, start=1):
-        frame = _frame(table)
+        rows = [[_text(cell) for cell in row] for row in table.rows]
+        frame = pd.DataFrame(rows, columns=[head.text or "#" for head in table.heads])
         stem = folder / f"table_{number:02d}_{_slug(table.caption)}"
         write_whole(stem.with_suffix(".csv"), frame.to_csv(index=False, lineterminator="\n"))
         write_whole(stem.with_suffix(".tex"), _latex(frame))
@@ -71,11 +72,6 @@ def _save(figure: Any, kind: str, path: Path) -> None:
     # Without the time of day, the same picture is the same file.
     dated = {"Date": None} if kind == ".svg" else {"CreationDate": None}
     figure.savefig(path, format=kind[1:], metadata=dated)
-
-
-def _frame(table: Table) -> pd.DataFrame:
-    rows = [[_text(cell) for cell in row] for row in table.rows]
-    return pd.DataFrame(rows, columns=[head.text or "#" for head in table.heads])
 
 
 def _text(cell: str | Cell) -> str:

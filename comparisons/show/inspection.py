@@ -25,7 +25,9 @@ def inspect_text(inspection: Inspection, match: TestMatch | None = None) -> str:
     """Return the findings as text; with a match also what reduce would make of the file."""
     parts = [_file_text(inspection)]
     if match is not None:
-        parts += [_match_text(match), _reduction_text(match)]
+        does = "\n".join(["reduce would do this:", *ledger_lines(match.history)])
+        refuses = f"reduce would refuse it: {match.refusal}"
+        parts += [_match_text(match), refuses if match.refusal else does]
     return "\n\n".join(parts)
 
 
@@ -63,17 +65,14 @@ def _file_text(inspection: Inspection) -> str:
 def _clock_text(clock: ClockFacts) -> str:
     text = (
         f"clock: {clock.name} [{clock.unit}], {clock.first_s:.9g} to {clock.last_s:.9g} s, "
-        f"{clock.rate_hz:.6g} rows a second, {_spacing(clock.jitter)}"
+        f"{clock.rate_hz:.6g} rows a second, "
+        + ("evenly spaced" if clock.jitter < EVEN else f"steps even to {clock.jitter:.2g} of one")
     )
     troubles = [
         f"{kind} {counted(count, 'time')} (the first before row {first})"
         for kind, (count, first) in clock.troubles.items()
     ]
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
-
-
-def _spacing(jitter: float) -> str:
-    return "evenly spaced" if jitter < EVEN else f"steps even to {jitter:.2g} of one"
 
 
 def _surge_text(inspection: Inspection) -> Iterator[str]:
@@ -118,15 +117,7 @@ def _match_text(match: TestMatch) -> str:
 def _range_text(match: ChannelMatch) -> str:
     if isnan(match.minimum):
         return "no such column"
-    ends = (_in_shown_unit(end, match.si_unit) for end in (match.minimum, match.maximum))
-    return " to ".join(ends)
-
-
-def _in_shown_unit(value: float, si_unit: str) -> str:
-    return f"{value / 1e3:.4g} kPa" if si_unit == "Pa" else f"{value:.5g} {si_unit}"
-
-
-def _reduction_text(match: TestMatch) -> str:
-    if match.refusal:
-        return f"reduce would refuse it: {match.refusal}"
-    return "\n".join(["reduce would do this:", *ledger_lines(match.history)])
+    ends = (match.minimum, match.maximum)
+    if match.si_unit == "Pa":
+        return " to ".join(f"{end / 1e3:.4g} kPa" for end in ends)
+    return " to ".join(f"{end:.5g} {match.si_unit}" for end in ends)

@@ -1,7 +1,8 @@
-"""Results as JSON, in the schemas that other programs rely on."""
+"""Results as JSON, in the schemas that other programs rely on; steps of `run` under their own."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -9,12 +10,20 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
+from classic_ml.work.coefficient import WorkCharacteristic
+from comparisons.analysis import Analysis
 from comparisons.harness.structure_fit import FoundStructure
+from comparisons.harness.work_fit import why_withheld
+from comparisons.missing_effect.document import diagnosis_document
 from comparisons.results import Comparison, EstimatorResult
+from comparisons.show.inspection import inspect_document
 from sindy_surge.text import interval95
 from surge_core.terms import terms_json
+from surge_core.types import FloatArray
 
 COMPARE_SCHEMA = "sindy-surge/compare/1"
+RUN_SCHEMA = "sindy-surge/run/1"
+WORK_SCHEMA = "sindy-surge/work/1"
 STRUCTURE_SCHEMA = "sindy-surge/structure/1"
 OF_PATH = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
 
@@ -55,6 +64,52 @@ def state_json(code: str, advice: str) -> dict[str, dict[str, str]]:
     """Return how a fit ended, also under the key of files written before `fit_state`."""
     state = {"code": code, "advice": advice}
     return {"fit_state": state, "state": state}
+
+
+def run_document(found: Analysis) -> dict[str, Any]:
+    """Return an analysis as plain JSON types.
+
+    A step that refused has ``{"refused": sentence}`` for its document.
+    """
+    series, record = found.reduction.series, found.reduction.record
+    made = {
+        "inspect": inspect_document(found.inspection),
+        "reduce": {**record_document(series), "history": [asdict(e) for e in record.history]},
+        "compare": comparison_document(found.comparison),
+        "structure": found.structure and structure_document(found.structure),
+        "diagnose": found.diagnosis and diagnosis_document(found.diagnosis),
+        "work": found.work and work_document(found.work, record.source),
+    }
+    steps = {
+        name: {"refused": found.refusals[name]} if document is None else document
+        for name, document in made.items()
+    }
+    return {"schema": RUN_SCHEMA, "answer": found.answer.to_json(), **steps}
+
+
+def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
+    """Return the fit as plain JSON types."""
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return {
+        "schema": WORK_SCHEMA,
+        "record": source,
+        "time_constant_s": tau_json(fit.time_constant_s, fit.time_constant_stderr_s),
+        "breakpoints": list(fit.breakpoints),
+        "terms": terms_json(fit.terms, fit.coef, errors),
+        "characteristic": curve_json("psi", *work_curve(fit)),
+        "valid_phi": list(fit.valid_phi),
+        "rows_scored": fit.n_scored,
+        "cycles": fit.n_cycles,
+        **state_json(fit.fit_state.code, why_withheld(fit) or fit.fit_state.advice),
+        "history": [asdict(fit.entry)],
+    }
+
+
+def work_curve(fit: WorkCharacteristic) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ψ_QS over forward flow as it is written: φ, value and standard error."""
+    last = fit.valid_phi[1] if math.isfinite(fit.valid_phi[1]) else 0.0
+    phi = np.round(np.arange(0.0, max(last, 0.01) + 0.005, 0.01), 3)
+    return (phi, *fit.characteristic(phi))
 
 
 def structure_document(found: FoundStructure) -> dict[str, Any]:

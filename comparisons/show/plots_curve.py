@@ -40,8 +40,9 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     first = comparison.first
     rows, ends = first.rows, comparison.valid_phi
     scored_phi = _scored_phi(first)
-    figure = style.new_figure(height_in=6.0)
-    ax = style.dress(figure.add_subplot())
+    symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
+    called = f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]"
+    figure, ax = style.panel(style.PHI, called, 6.0)
     _histogram_behind(ax, scored_phi, ends)
     seen, shown = [], []
     for result in comparison.results:
@@ -68,9 +69,6 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     bottom, top = style.robust_limits(*seen, central, margin=0.12)
     ax.set_ylim(bottom - HISTOGRAM_SHARE * 0.5 * (top - bottom), top)
     ax.set_xlim(*style.robust_limits(scored_phi, margin=0.02))
-    ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
-    symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
-    ax.set_ylabel(f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]")
     style.legend_above(figure, ax)
     known = "" if truth is None else f" Dotted black: {truth.label}."
     return Picture(
@@ -97,9 +95,10 @@ def curve_picture(
     Its colour is that of the estimator that found it; with ``histogram`` that of φ stands behind,
     in a larger picture; ``more`` are further words on how to read it.
     """
-    size = {"height_in": 6.0} if histogram else {"width_in": WIDTH_IN, "height_in": HEIGHT_IN}
-    figure = style.new_figure(**size)
-    ax = style.dress(figure.add_subplot())
+    size = (6.0,) if histogram else (HEIGHT_IN, WIDTH_IN)
+    called = NAMES[curve.target].rpartition(" ")[0]
+    words = f"{called} {style.coefficient_symbol(curve.target)} [-]"
+    figure, ax = style.panel(style.PHI, words, *size)
     if histogram:
         _histogram_behind(ax, curve.measured_phi, curve.valid_phi)
     step = -(-curve.measured.size // POINTS_DRAWN)
@@ -123,9 +122,6 @@ def curve_picture(
     # Rows just behind the entry into stall lie far above the curve, by the lag.
     ends = np.percentile(curve.measured, CENTRAL) if curve.measured.size else np.zeros(0)
     ax.set_ylim(*style.robust_limits(curve.value, ends, margin=0.12))
-    ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
-    called = NAMES[curve.target].rpartition(" ")[0]
-    ax.set_ylabel(f"{called} {style.coefficient_symbol(curve.target)} [-]")
     style.legend_above(figure, ax)
     at = [
         f"{round_to_error(float(value), float(error))} at φ = {phi:.3f}"
@@ -152,8 +148,8 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     """
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure = style.new_figure(height_in=4.8)
-    ax = style.dress(figure.add_subplot())
+    words = f"rms of the reconstruction of {style.coefficient_symbol(trial.target)} [-]"
+    figure, ax = style.panel(r"time constant $\tau$ [ms]", words, 4.8)
     _trial_errors(ax, trial)
     low, high = (1e3 * edge for edge in trial.interval_s)
     label = "no worse within two paired errors"
@@ -168,8 +164,6 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_xlabel(r"time constant $\tau$ [ms]")
-    ax.set_ylabel(f"rms of the reconstruction of {style.coefficient_symbol(trial.target)} [-]")
     style.legend_above(figure, ax, columns=2)
     found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
     where = (

@@ -12,9 +12,11 @@ import numpy as np
 from classic_ml.checks import CheckRow
 from classic_ml.records import LedgerEntry, counted, ledger_grid
 from classic_ml.reduction import Reduction
+from comparisons.analysis import Analysis
 from comparisons.harness.answer import answer_of
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.tau_trial import trial_of
+from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Summary, Table, Words
 from comparisons.page.html import render_page
 from comparisons.results import (
@@ -32,7 +34,10 @@ from comparisons.results import (
     texts_of,
 )
 from comparisons.results.names import NAMES
-from comparisons.show import plots_curve, plots_record, plots_runs
+from comparisons.show import plots_curve, plots_record
+from comparisons.show.inspection import inspect_text
+from comparisons.show.structure_output import structure_parts
+from comparisons.show.table import work_table
 from surge_core.rounding import significant
 
 # Of many records fitted together the first few are drawn; the tables hold all.
@@ -143,17 +148,28 @@ def _parts(section: ReportSection) -> tuple[Part, ...]:
         *(plots_curve.characteristics(fit, truth) for fit, truth in section.fits),
         *_reconstructions(section),
         *_trial(section),
-        *map(plots_runs.errors_in_time, fits),
+        *map(plots_record.errors_in_time, fits),
     )
-    equations = [block for fit in fits for block in _equations(fit)]
+    equations = [
+        Words(f"{result.label}:\n    {result.equation}", "code")
+        for fit in fits
+        for result in fit.results
+        if result.equation
+    ]
     quality = (*_cautions(section), *section.quality, *_record_pictures(section))
+    ledgers = (
+        Table.of(ledger_grid(history)[0], caption=source, prose=LEDGER_PROSE)
+        if history
+        else Table(f"{source}: no ledger came with this record", (), ())
+        for source, history in section.ledgers.items()
+    )
     parts = (
         Part("Reconstruction validation", _validation(section.validation)),
         Part("Evidence", evidence),
         *section.extra,
         Part("Checks", tuple(map(_checks_table, fits))),
         Part("Data quality", quality),
-        Part("Ledger", tuple(_ledger_table(*pair) for pair in section.ledgers.items())),
+        Part("Ledger", tuple(ledgers)),
         Part("Settings", (*map(_summary_list, fits), *equations)),
     )
     shown = [part for part in parts if part.blocks]
@@ -239,7 +255,7 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
         kinds = dict.fromkeys(fit.result(row.estimator).rows.kind for row in fit.table)
         pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
-        blocks += [plots_runs.reconstruction(fit, i, kind) for kind, i in pairs]
+        blocks += [plots_record.reconstruction(fit, i, kind) for kind, i in pairs]
     return (*blocks, *_left_out(section))
 
 
@@ -269,7 +285,7 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
     for run in runs:
         groups.setdefault((run.title, run.rows.kind), []).append(run)
-    return (*blocks, *map(plots_runs.validation, groups.values()))
+    return (*blocks, *map(plots_record.validation, groups.values()))
 
 
 def _checks_table(fit: Comparison) -> Table:
@@ -331,13 +347,6 @@ def _record_pictures(section: ReportSection) -> tuple[Block, ...]:
     return (*pictures, *_left_out(section))
 
 
-def _ledger_table(source: str, history: Sequence[LedgerEntry]) -> Table:
-    """Return the ledger of a record: every step, what it did, and what it dropped."""
-    if not history:
-        return Table(f"{source}: no ledger came with this record", (), ())
-    return Table.of(ledger_grid(history)[0], caption=source, prose=LEDGER_PROSE)
-
-
 def _summary_list(fit: Comparison) -> Bullets:
     """Say in words what was compared, and how it is to be read."""
     rows = fit.first.rows
@@ -358,10 +367,23 @@ def _summary_list(fit: Comparison) -> Bullets:
     return Bullets(items, "plain", name[0].upper() + name[1:])
 
 
-def _equations(fit: Comparison) -> tuple[Block, ...]:
-    """Return the equations, which hold τ and the coefficients with their standard errors."""
-    return tuple(
-        Words(f"{result.label}:\n    {result.equation}", "code")
-        for result in fit.results
-        if result.equation
+def run_section(found: Analysis) -> ReportSection:
+    """Return an analysis as a section of a report."""
+    parts: list[Part] = []
+    if found.diagnosis is not None:
+        parts += diagnosis_parts(found.diagnosis)
+    evidence = [Part.together("Evidence: what is missing", parts)]
+    if found.structure is not None:
+        terms = structure_parts(found.structure)
+        evidence.append(Part.together("Evidence: terms of ψ'_QS", terms))
+    if found.work is not None:
+        words = Words(work_table(found.work), "code")
+        evidence.append(Part("Evidence: ψ_QS from the power", (words,)))
+    return ReportSection(
+        found.answer.test,
+        found.comparison,
+        reduction=found.reduction,
+        extra=tuple(part for part in evidence if part.blocks),
+        quality=(Words(inspect_text(found.inspection, None), "code"),),
+        answer=found.answer,
     )

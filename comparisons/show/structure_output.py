@@ -67,7 +67,12 @@ def _left_out(found: FoundStructure) -> str:
     """Say how often terms that were not chosen came up, or why nothing is known of that."""
     known = found.inclusion
     if not known:
-        return f"No inclusion probabilities: {_why_no_inclusion(found)}."
+        why = f"records are not resampled where a fit ended as {found.state[0]}"
+        if found.fitted_to == "whole runs":
+            why = "the free run through whole records is not resampled (--bootstrap fits the rows)"
+        elif found.settings.get("n_bootstrap") == 0:
+            why = "no records were resampled"
+        return f"No inclusion probabilities: {why}."
     others = sorted(
         ((p, name) for name, p in known.items() if name not in found.fit.terms_),
         key=lambda pair: -pair[0],
@@ -76,14 +81,6 @@ def _left_out(found: FoundStructure) -> str:
     if not shown:
         return "No other term came up in a resampled record."
     return "Not chosen, yet in some resampled records: " + ", ".join(shown) + "."
-
-
-def _why_no_inclusion(found: FoundStructure) -> str:
-    if found.fitted_to == "whole runs":
-        return "the free run through whole records is not resampled (--bootstrap fits the rows)"
-    if found.settings.get("n_bootstrap") == 0:
-        return "no records were resampled"
-    return f"records are not resampled where a fit ended as {found.state[0]}"
 
 
 def _picture(found: FoundStructure) -> Picture:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 
+from classic_ml.work.coefficient import WorkCharacteristic
+from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.results import (
     Comparison,
     Reconstruction,
@@ -13,7 +16,9 @@ from comparisons.results import (
     reconstruction_grids,
     texts_of,
 )
+from comparisons.show.json_output import work_curve
 from surge_core.display import Grid
+from surge_core.rounding import bracketed, round_to_error
 
 WIDTH = 110
 
@@ -65,6 +70,31 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     ]
     legend = _wrapped(f"names of the models: {'; '.join(called)}", "", "   ") if called else []
     return "\n".join([*lines[: None if legend else -1], *legend])
+
+
+def work_table(fit: WorkCharacteristic) -> str:
+    """Return the fit as text."""
+    low, high = fit.valid_phi
+    if not math.isfinite(fit.time_constant_s):
+        return (
+            f"ψ_QS is not stated, nor τ ({fit.n_cycles} cycles, {fit.n_scored} rows): "
+            f"{why_withheld(fit)}\n{fit.entry.did}"
+        )
+    lines = [
+        f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
+        f"{low:.3f} to {high:.3f}, pieces meeting at φ "
+        + " and ".join(f"{point:.3g}" for point in fit.breakpoints),
+        "τ = "
+        + bracketed(1e3 * fit.time_constant_s, 1e3 * fit.time_constant_stderr_s)
+        + f" ms; {fit.fit_state.advice}",
+        "    φ    ψ_QS",
+    ]
+    inside = [(p, v, s) for p, v, s in zip(*work_curve(fit), strict=True) if low <= p <= high]
+    lines += [f"{p:.3f}   {round_to_error(v, s)}" for p, v, s in inside]
+    lines.append(fit.entry.did)
+    if is_vague(fit):
+        lines.append("τ or the curve is known to no better than 12 %: `run` does not state it")
+    return "\n".join(lines)
 
 
 def _ruled(grid: Grid) -> list[str]:

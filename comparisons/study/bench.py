@@ -13,12 +13,11 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import friedmanchisquare, rankdata, studentized_range
+from scipy.stats import friedmanchisquare, studentized_range
 
 from comparisons.harness.methods import ENTRY_POINTS, PEERS, method_name
 from comparisons.study.rigs import draw_of, rig_names
 from comparisons.study.spec import BUILT_IN, StudySpec, spec_from
-from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,19 +180,13 @@ def ranks_of(table: pd.DataFrame) -> Ranks:
     wide = fitted.pivot_table(
         index="record", columns="method", values="tau_error_ms", dropna=False, sort=False
     )
-    errors = wide.abs().fillna(np.inf).to_numpy()
-    ranks: FloatArray = np.apply_along_axis(rankdata, 1, errors)
+    ranks = wide.abs().fillna(np.inf).rank(axis=1)
     n, k = ranks.shape
-    mean = ranks.mean(axis=0)
-    order = np.argsort(mean, kind="stable")
-    p = float(friedmanchisquare(*ranks.T).pvalue) if k > 2 and n > 1 else math.nan
+    mean = ranks.mean().sort_values(kind="stable")
+    p = float(friedmanchisquare(*ranks.to_numpy().T).pvalue) if k > 2 and n > 1 else math.nan
     reach = float(studentized_range.ppf(1.0 - LEVEL, k, np.inf)) / math.sqrt(2.0)
-    return Ranks(
-        tuple(str(wide.columns[i]) for i in order),
-        tuple(float(mean[i]) for i in order),
-        p,
-        reach * math.sqrt(k * (k + 1) / (6.0 * n)),
-    )
+    critical = reach * math.sqrt(k * (k + 1) / (6.0 * n))
+    return Ranks(tuple(map(str, mean.index)), tuple(mean.tolist()), p, critical)
 
 
 def draw_ranks(ranks: Ranks) -> Figure:
@@ -204,10 +197,11 @@ def draw_ranks(ranks: Ranks) -> Figure:
     ranks : Ranks
         Of the methods.
     """
-    from comparisons.page.style import ACCENT, INK, dress, new_figure
+    from comparisons.page.style import ACCENT, INK, panel
 
-    figure = new_figure(height_in=1.2 + 0.35 * len(ranks.methods))
-    ax = dress(figure.add_subplot())
+    words = "mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)"
+    figure, ax = panel(words, "", 1.2 + 0.35 * len(ranks.methods))
+    ax.xaxis.label.set_fontsize(9)
     place = np.arange(len(ranks.methods))
     ax.plot(ranks.mean, place, "o", color=ACCENT, ms=7)
     look: dict[str, Any] = {"color": INK, "lw": 2.0, "alpha": 0.35}
@@ -216,5 +210,4 @@ def draw_ranks(ranks: Ranks) -> Figure:
     ax.set_yticks(place, list(ranks.methods))
     ax.set_ylim(len(ranks.methods) - 0.5, -0.5)
     ax.set_xlim(left=0.8)
-    ax.set_xlabel("mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)", fontsize=9)
     return figure

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import rankdata
 
-from comparisons.study.scores import SCORES, Score, loss_label
+from comparisons.study.scores import SCORES, Score
 from comparisons.study.verdicts import Paired, verdicts_of
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
@@ -128,7 +128,7 @@ class GroupComparison(Displayed):
 
     def lead(self) -> str:
         """Return in one sentence which method is best and how far each is from the reference."""
-        label, unit = loss_label(self.score), self.score.unit
+        label, unit = self.score.loss_label, self.score.unit
         if not self.best:
             return f"{self.place}: no method has a value of {label}."
         best = self.row(self.best)
@@ -176,7 +176,7 @@ class GroupComparison(Displayed):
         fields = [Field("in short", self.lead())]
         if cautions := tuple(f"{row.method}: {row.trust}" for row in self.rows if row.trust):
             fields.append(Field("caution", cautions, "advice"))
-        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (shown,))
+        return Sheet(f"Methods by {self.score.loss_label}", tuple(fields), (shown,))
 
 
 def compare_methods(
@@ -293,7 +293,7 @@ def jackknife(
 
 
 def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
-    """Return the results with score, loss, and numbers of what methods share and of the record."""
+    """Return the results with the score, and numbers of what methods share and of the record."""
     import pandas as pd
 
     values = pd.to_numeric(table[score.name], errors="coerce").astype(float)
@@ -307,12 +307,7 @@ def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
     shared = table.groupby(["record", "reduction", *axes], dropna=False).ngroup()
     # Records that were drawn together (one seed at several settings) are not independent.
     draw = table["draw" if "draw" in table.columns else "record"]
-    cells = table.assign(
-        _value=values,
-        _loss=score.losses(values),
-        _cell=shared,
-        _draw=pd.factorize(draw)[0],
-    )
+    cells = table.assign(_value=values, _cell=shared, _draw=pd.factorize(draw)[0])
     return cells.sort_values(["_cell", "method"])
 
 
@@ -335,25 +330,26 @@ def _winner(cells: pd.DataFrame, score: Score) -> str:
 def _compared(
     cells: pd.DataFrame, score: Score, reference: str, place: str, margin: float, tests: int
 ) -> GroupComparison:
-    parts = {str(name): part.set_index("_cell") for name, part in cells.groupby("method")}
-    right = parts.get(reference, cells.iloc[:0].set_index("_cell"))
-    against = {name: _paired(part, right, score) for name, part in parts.items()}
-    ranks = _ranks(against, float(cells["_loss"].abs().max()))
+    wide = cells.pivot(index="_cell", columns="method", values="_value")
+    draw = cells.groupby("_cell")["_draw"].first()
+    parts = {str(name): part for name, part in cells.groupby("method")}
+    against = {
+        name: _paired(wide.reindex(columns=[name, reference]).to_numpy(), draw.to_numpy(), score)
+        for name in parts
+    }
+    ranks = _ranks(against, float(score.losses(wide).abs().max().max()))
     rows = []
     for name, part in parts.items():
-        scored = part.dropna(subset="_value")
-        values, losses, draw = (scored[n].to_numpy() for n in ("_value", "_loss", "_draw"))
-        mean, error = jackknife(values, draw)
+        values = wide[name].dropna()
+        records = draw[values.index].to_numpy()
+        mean, error = jackknife(values.to_numpy(), records)
         loss = (abs(mean - score.target), error)
         if score.better != "target":
-            loss = jackknife(losses, draw)
+            loss = jackknife(score.losses(values).to_numpy(), records)
         doubts = "; ".join(_doubts(part, against[name]))
         failed = int((part["state"] == FAILED).sum())
-        rows.append(
-            MethodRow(
-                name, len(part), failed, mean, error, *loss, against[name], ranks.get(name), doubts
-            )
-        )
+        own = (mean, error, *loss, against[name], ranks.get(name), doubts)
+        rows.append(MethodRow(name, len(part), failed, *own))
     level = next((row.loss for row in rows if row.method == reference), math.nan)
     reach = COVERAGE_MARGIN if score.better == "target" else margin * abs(level)
     others = {name: pair for name, pair in against.items() if name != reference}
@@ -364,19 +360,18 @@ def _compared(
     return GroupComparison(score, place, reference, best, tuple(rows))
 
 
-def _paired(part: pd.DataFrame, right: pd.DataFrame, score: Score) -> Paired:
-    """Return one method against the reference over the cells that both could score."""
-    others = right.add_suffix("_right")[["_value_right", "_loss_right"]]
-    both = part.join(others, how="inner").dropna(subset=["_value", "_value_right"])
-    if both.empty:
+def _paired(both: FloatArray, draw: IntArray, score: Score) -> Paired:
+    """Return a method against the reference, values (n, 2), over what both could score."""
+    shared = np.isfinite(both).all(axis=1)
+    values, draw = both[shared], draw[shared]
+    if not draw.size:
         return Paired()
-    draw = both["_draw"].to_numpy()
-    counts = (len(both), int(np.unique(draw).size))
+    counts = (draw.size, np.unique(draw).size)
     if score.better == "target":
         # Of a single cell the distance to a share means nothing: only of the mean of many.
-        values = both[["_value", "_value_right"]].to_numpy()
         return Paired(*counts, *jackknife(values, draw, score.target))
-    return Paired(*counts, *jackknife((both["_loss"] - both["_loss_right"]).to_numpy(), draw))
+    own, reference = score.losses(values).T
+    return Paired(*counts, *jackknife(own - reference, draw))
 
 
 def _ranks(against: dict[str, Paired], size: float) -> dict[str, int]:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from comparisons.page.blocks import Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
-from comparisons.study.comparison import (
-    COLUMNS,
-    GroupComparison,
-    compare_scores,
-)
+from comparisons.study.comparison import COLUMNS, compare_scores
 from comparisons.study.spec import StudySpec
 
 if TYPE_CHECKING:
@@ -50,17 +45,15 @@ def render_study_report(
     )
     leads = tuple(several[0].lead() for several in groups)
     sections = [("In short", [Part("Lead", (Bullets(leads), Words(extent, "quiet")))])]
-    sections += [(several[0].score.label.capitalize(), _score_parts(several)) for several in groups]
+    for several in groups:
+        tables = [
+            Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
+            for group in several
+        ]
+        part = Part("Methods", (*tables, Words(READING, "quiet")))
+        sections.append((several[0].score.label.capitalize(), [part]))
     sections.append(("Cells that did not end well", [Part("Reasons", (_failures(table),))]))
     return render_page(sections, title=spec.title, command=command)
-
-
-def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
-    tables = (
-        Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
-        for group in groups
-    )
-    return [Part("Methods", (*tables, Words(READING, "quiet")))]
 
 
 def _failures(table: pd.DataFrame) -> Table:

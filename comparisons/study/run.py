@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.methods import OwnMethod
-from comparisons.study.design import Cell, Point, cells_of, tasks_of
+from comparisons.study.design import Cell, cells_of, tasks_of
 from comparisons.study.scores import NUMBERS
 from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 from comparisons.study.spec import Method, StudySpec
@@ -178,28 +177,21 @@ def run_task(cells: Sequence[Cell]) -> list[Row]:
     list of dict
         One row a cell. The seconds of shared work are those of the first row that needed it.
     """
-    record = cache(make_record)
-    series = cache(lambda point: prepare(record(_only(point, "record")), point))
+    points = {cell.point.reduction: cell.point for cell in cells}
+    record = cache(lambda: make_record(cells[0].point))
+    series = cache(lambda reduction: prepare(record(), points[reduction]))
     with one_thread():
         return [_row(cell, record, series) for cell in cells]
 
 
-def _only(point: Point, *tables: str) -> Point:
-    """Return a point without the settings that what is made of it does not hang on."""
-    kept = tuple(each for each in point.settings if each[0].partition(".")[0] in tables)
-    return replace(point, settings=kept)
-
-
-def _row(cell: Cell, record: Callable[[Point], Made], series: Callable[[Point], Any]) -> Row:
-    point = cell.point
+def _row(cell: Cell, record: Callable[[], Made], series: Callable[[str], Any]) -> Row:
     # A class may draw from numpy's shared generator: the same numbers for a cell in any worker and
     # any order.
     np.random.seed(int(cell.key.removeprefix("c-"), 16) % 2**32)  # noqa: NPY002
     begun = time.perf_counter()
     try:
-        reduced = series(_only(point, "record", "reduction"))
-        made = record(_only(point, "record"))
-        found = _scores(cell.method, reduced, made, FIT_DEFAULTS | point.table("fit"))
+        reduced, fit = series(cell.point.reduction), FIT_DEFAULTS | cell.point.table("fit")
+        found = _scores(cell.method, reduced, record(), fit)
     except Exception as error:
         # A cell that fails is a row, not a stopped study.
         text = " ".join(str(error).splitlines()[:1])

@@ -34,6 +34,12 @@ class Score:
     better: Better
     target: float = 0.0
 
+    @property
+    def loss_label(self) -> str:
+        """What its loss is called."""
+        words = {"zero": f"|{self.label}|", "target": f"|share “{self.label}” − {self.target:g}|"}
+        return words.get(self.better, self.label)
+
     def losses(self, values: Any) -> Any:
         """Return what is lost at values of the score, an array or a table: smaller is better."""
         if self.better == "smaller":
@@ -60,12 +66,3 @@ SCORES: Mapping[str, Score] = MappingProxyType(
 )
 # Numbers of a fit in the table: what is better or worse, and what is not.
 NUMBERS = ("tau_ms", "tau_stderr_ms", "firm_names", *SCORES)
-
-
-def loss_label(score: Score) -> str:
-    """Return what the loss of a score is called."""
-    if score.better == "zero":
-        return f"|{score.label}|"
-    if score.better == "target":
-        return f"|share “{score.label}” − {score.target:g}|"
-    return score.label

@@ -24,7 +24,8 @@ from classic_ml.work.balance import (
     with_work,
 )
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
-from comparisons.show.work_output import work_document, work_table
+from comparisons.show.json_output import work_document
+from comparisons.show.table import work_table
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
 from surge_core.fit_state import FitState

@@ -12,13 +12,10 @@ from surge_machines import STEP_S, draw, measured
 
 from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
-from comparisons.cli.discover_loop import (
-    discover_series_loop,
-    loop_document,
-    loop_parts,
-    loop_text,
-)
+from comparisons.cli.discover import discover_series_loop
 from comparisons.page.html import render_page
+from comparisons.show.discover_output import loop_document, loop_parts, loop_text
+from sindy_surge import discover_loop
 from surge_core.files import to_strict_json
 
 PERIOD_S = 0.05
@@ -97,12 +94,9 @@ def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
     assert named in refused(capsys, "discover", files[0], *options)
 
 
-def test_a_series_gives_text_document_and_report() -> None:
+def test_a_loop_gives_text_document_and_report() -> None:
     machine, states, _ = draw(0, "two")
-    phi, psi_p, plenum = measured(states, 0.01, 3).T
-    n = phi.size
-    series = CoefficientSeries(np.arange(n) * STEP_S, phi, psi_p, np.ones(n, dtype=np.int64))
-    loop = discover_series_loop(series, plenum)
+    loop = discover_loop(*measured(states, 0.01, 3).T, STEP_S)
     document = loop_document(loop)
     to_strict_json(document)
     assert document["schema"] == "sindy-surge/discover/1"

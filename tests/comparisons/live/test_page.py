@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from comparisons.live.display import live_document
 from comparisons.live.estimate import Estimate
-from comparisons.live.page import Page
+from comparisons.live.screens import Page, live_document
 from surge_core.errors import InputError
 
 NAN = float("nan")

@@ -1,16 +1,25 @@
-"""What a session knows at one moment: one list of fields for the terminal and the page."""
+"""What a session knows at one moment: one list of fields, on a terminal and on a page.
+
+The page is for this machine: one server in a thread, and nothing else is asked for.
+"""
 
 from __future__ import annotations
 
 import math
 import shutil
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
 from typing import Any, TextIO
 
 from classic_ml.flow import LBM_KG
 from comparisons.live.monitor import Monitor
+from surge_core.errors import InputError
+from surge_core.files import to_strict_json
 
+HOST = "127.0.0.1"
 CLEAR_LINE = "\r\x1b[K"
 # The quantities of an operating point: label, name, factor and format.
 QUANTITIES: tuple[tuple[str, str, float, str], ...] = (
@@ -21,6 +30,8 @@ QUANTITIES: tuple[tuple[str, str, float, str], ...] = (
     ("ψ'", "psi_p", 1.0, "{:.3f}"),
     ("corrected speed", "Nc_frac", 100.0, "{:.1f} %"),
 )
+# Of a line, which may be cut: what matters most first.
+IN_LINE = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
 
 
 def live_document(
@@ -58,13 +69,6 @@ def live_document(
     }
 
 
-def _status_line(document: dict[str, Any]) -> str:
-    """Return the moment in one line of a terminal; what matters most first, since it may be cut."""
-    values = {field["label"]: field["value"] for field in document["fields"]}
-    labels = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
-    return "  ".join(f"{label} {values[label]}" for label in labels)
-
-
 class Terminal:
     """Write a line an event and, where the stream is a terminal, the newest state below them."""
 
@@ -79,8 +83,9 @@ class Terminal:
     def show(self, document: dict[str, Any]) -> None:
         """Write the state over the one before."""
         if self._moving:
-            width = shutil.get_terminal_size().columns - 1
-            self._write(_plain(_status_line(document))[:width])
+            values = {field["label"]: field["value"] for field in document["fields"]}
+            line = "  ".join(f"{label} {values[label]}" for label in IN_LINE)
+            self._write(_plain(line)[: shutil.get_terminal_size().columns - 1])
 
     def close(self) -> None:
         """Leave the line."""
@@ -97,3 +102,61 @@ class Terminal:
 def _plain(text: str) -> str:
     """Return text without control characters, which a terminal would obey."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+class Page:
+    """Serve the newest state on 127.0.0.1: ``/`` is the page, ``/state.json`` its numbers.
+
+    Port 0 is any that is free; ``port`` then is the one that it has.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._page = (resources.files(__package__) / "web" / "page.html").read_bytes()
+        self._document: dict[str, Any] = {}
+        page = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                # Another name may have been bound to this machine by a page elsewhere.
+                if self.headers.get("Host") not in (
+                    f"{HOST}:{page.port}",
+                    f"localhost:{page.port}",
+                ):
+                    return self.send_error(421)
+                state = to_strict_json(page._document).encode("utf-8")
+                kinds = {"/": (page._page, "text/html"), "/state.json": (state, "application/json")}
+                if self.path not in kinds:
+                    return self.send_error(404)
+                content, kind = kinds[self.path]
+                self.send_response(200)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.send_header("Content-Length", str(len(content)))
+                self.send_header("Cache-Control", "no-store")
+                self.end_headers()
+                self.wfile.write(content)
+
+            def log_message(self, format: str, *args: Any) -> None:
+                """Log nothing."""
+
+        try:
+            self._server = ThreadingHTTPServer((HOST, port), Handler)
+        except OSError as error:
+            raise InputError(
+                "--page",
+                expected=f"a port of {HOST} that is free",
+                found=f"{port}: {error.strerror or error}",
+            ) from None
+        self.port = int(self._server.server_address[1])
+        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
+
+    def say(self, event: str) -> None:
+        """Do nothing: events come with the states."""
+
+    def show(self, document: dict[str, Any]) -> None:
+        """Serve another state from now on."""
+        self._document = document
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
