@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from math import comb
 from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.kernels import piecewise_cubics, shifted
+from comparisons.missing_effect.kernels import shifted
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.segments import scored_pieces
@@ -179,7 +178,8 @@ def shape_columns(
         powers = [at**k for k in range(n_base, n_base + MORE_POWERS)]
         return np.column_stack(powers) @ _more_powers(n_base)
     at = np.clip(at, 0.0, 1.0)
-    return np.asarray(piecewise_cubics(np.ascontiguousarray(at), _cubics(intervals, n_base)))
+    splines, held = _splines(intervals, n_base)
+    return np.asarray(splines(at) - np.vander(at, len(held), increasing=True) @ held)
 
 
 @lru_cache(maxsize=8)
@@ -196,12 +196,12 @@ def _more_powers(n_base: int) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def _cubics(intervals: int, n_base: int) -> FloatArray:
-    """Return the cubics of each column in each interval, of shape (intervals, 4, columns).
+def _splines(intervals: int, n_base: int) -> tuple[Any, FloatArray]:
+    """Return splines, orthonormal over the range once the powers of the base are taken off them.
 
-    The columns are orthonormal over the range and free of the powers that the base has.
+    Beside them: how much of each power, a row each, to take off each column.
     """
-    from scipy.interpolate import BSpline, PPoly
+    from scipy.interpolate import BSpline
 
     knots = np.concatenate([np.zeros(3), np.arange(intervals + 1) / intervals, np.ones(3)])
     at = np.linspace(0.0, 1.0, 40 * intervals + 1)
@@ -212,18 +212,7 @@ def _cubics(intervals: int, n_base: int) -> FloatArray:
     _, size, right = np.linalg.svd(raw - powers @ onto, full_matrices=False)
     n_own = intervals + 3 - n_powers
     mix = right[:n_own].T / size[:n_own] * np.sqrt(at.size)
-    pieces = np.zeros((intervals, 4, n_own))
-    for column in range(n_own):
-        spline = PPoly.from_spline((knots, np.ascontiguousarray(mix[:, column]), 3))
-        # Rows of PPoly run from the cube down; the clamped knots at both ends have no width.
-        pieces[:, :, column] = spline.c[::-1, 3 : 3 + intervals].T
-    less = onto @ mix
-    for i in range(intervals):
-        for power in range(n_powers):
-            # The power of the base, written about the left end of the interval.
-            for k in range(power + 1):
-                pieces[i, k] -= comb(power, k) * (i / intervals) ** (power - k) * less[power]
-    return np.ascontiguousarray(pieces)
+    return BSpline(knots, mix, 3), onto @ mix
 
 
 def _interval_grid(data: LagData) -> FloatArray:
