@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
@@ -89,48 +88,6 @@ class AddedEffect:
             ],
             "coefficients": list(self.coefficients),
         }
-
-
-@dataclass(frozen=True)
-class FrozenReferences:
-    """What effects are measured from; frozen with the fit, or they would mean another thing.
-
-    Parameters
-    ----------
-    mean_amplitude, mean_amplitude_as_is : float
-        Mean amplitude of φ, at which τ is stated.
-    mean_speed : float
-        Mean corrected speed, at which the characteristic is stated.
-    phi_range : tuple of float
-        Range of φ that was fitted.
-    clock_zero_s : float
-        Facility clock from which drifts and the heating of the facility count, in seconds.
-    """
-
-    mean_amplitude: float
-    mean_amplitude_as_is: float
-    mean_speed: float
-    phi_range: tuple[float, float]
-    clock_zero_s: float
-
-    @classmethod
-    def of(cls, data: LagData) -> FrozenReferences:
-        """Take the references of the rows that a model is fitted to."""
-        # The engine's own clock is the facility clock less its zero.
-        zero_s = float(data["time_s"][0] - clock_s(data)[0])
-        return cls(
-            data.mean_amplitude, data.mean_amplitude_as_is, data.mean_speed, data.phi_range, zero_s
-        )
-
-    def on(self, data: LagData) -> LagData:
-        """Return rows in which every effect is measured from these references."""
-        data = data.with_signal("time_s", data["time_s"] - self.clock_zero_s)
-        return replace(data, origin_s=0.0, **self.levels)
-
-    @property
-    def levels(self) -> dict[str, Any]:
-        """All but the clock, by their names in `LagData`."""
-        return {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
 
 
 def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeries:

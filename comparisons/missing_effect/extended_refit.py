@@ -20,7 +20,6 @@ from comparisons.missing_effect.extended_parts import (
     REVERSE,
     SHAPE,
     AddedEffect,
-    FrozenReferences,
     by_record,
     on_segments,
 )
@@ -157,7 +156,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
         tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
         effects,
-        FrozenReferences.of(data),
+        data.references,
         noise.sigma,
         noise.innovation,
         noise.ar,

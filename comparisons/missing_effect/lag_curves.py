@@ -40,10 +40,10 @@ def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
     names = fit.structure.names
     clock = clock_s(data)
     middle = float(np.mean(clock))
-    states: list[tuple[str, float, float]] = [("", middle, data.mean_speed)]
+    states: list[tuple[str, float, float]] = [("", middle, data.references.mean_speed)]
     if "facility_heating" in names:
         states = [
-            (f"at {at:.3g} s", at, data.mean_speed)
+            (f"at {at:.3g} s", at, data.references.mean_speed)
             for at in (float(clock.min()), float(clock.max()))
         ]
     elif "speed_droop" in names:
@@ -161,8 +161,8 @@ def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> La
             signals[name] = direction if name.startswith("dphi") else still
     signals |= {
         "time_s": np.full(n, clock),
-        "amplitude": np.full(n, data.mean_amplitude),
-        "amplitude_as_is": np.full(n, data.mean_amplitude_as_is),
+        "amplitude": np.full(n, data.references.mean_amplitude),
+        "amplitude_as_is": np.full(n, data.references.mean_amplitude_as_is),
         "Nc_frac": np.full(n, speed),
         "relaxation": still,
         "state": still,
@@ -176,5 +176,5 @@ def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> La
         every=1,
         average_s=0.0,
         # The clock is given as the effects count it.
-        origin_s=0.0,
+        references=replace(data.references, clock_zero_s=0.0),
     )

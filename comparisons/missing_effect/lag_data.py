@@ -16,6 +16,30 @@ TRAIN, LATER, OTHER = 0, 1, 2
 
 
 @dataclass(frozen=True)
+class FrozenReferences:
+    """What effects are measured from; frozen with the fit, or they would mean another thing.
+
+    Parameters
+    ----------
+    mean_amplitude, mean_amplitude_as_is : float
+        Mean amplitude of φ, at which τ is stated: with the ends of the records prolonged, and as
+        they stand.
+    mean_speed : float
+        Mean corrected speed, at which the characteristic is stated.
+    phi_range : tuple of float
+        Range of φ that was fitted.
+    clock_zero_s : float
+        Facility clock from which drifts and the heating of the facility count, in seconds.
+    """
+
+    mean_amplitude: float
+    mean_amplitude_as_is: float
+    mean_speed: float
+    phi_range: tuple[float, float]
+    clock_zero_s: float
+
+
+@dataclass(frozen=True)
 class LagData:
     """Runs of one or several records, each signal on a grid finer than the samples.
 
@@ -45,13 +69,10 @@ class LagData:
         Fine steps to a sample.
     average_s : float
         Length of the average that the measured coefficient passed; 0 for none.
-    mean_amplitude, mean_amplitude_as_is, mean_speed : float
-        Amplitude of φ (with the ends of the records prolonged, and as they stand) and corrected
-        speed, means over the records.
-    phi_range : tuple of float
-        Range of the φ that is fitted.
-    origin_s, middle_s : float
-        Zero of the facility clock, and its middle over all records, in seconds.
+    references : FrozenReferences
+        What effects are measured from.
+    middle_s : float
+        Middle of the facility clock over all records, in seconds.
     surge_s : float
         Period of surge, in seconds.
     psi_levels : tuple of float
@@ -74,11 +95,7 @@ class LagData:
     step_s: float
     every: int
     average_s: float
-    mean_amplitude: float
-    mean_amplitude_as_is: float
-    mean_speed: float
-    phi_range: tuple[float, float]
-    origin_s: float
+    references: FrozenReferences
     middle_s: float
     surge_s: float
     psi_levels: tuple[float, float, float]
@@ -208,7 +225,8 @@ class LagData:
     def over_all_phi(self) -> LagData:
         """Return the same data with the range of φ of all scored rows."""
         phi = self.signals["phi"][self.rows[self.weight > 0.0]]
-        return replace(self, phi_range=(float(phi.min()), float(phi.max())))
+        reach = float(phi.min()), float(phi.max())
+        return replace(self, references=replace(self.references, phi_range=reach))
 
     def with_measured(self, measured: FloatArray) -> LagData:
         """Return the same inputs with another measured coefficient."""

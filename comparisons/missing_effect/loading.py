@@ -17,7 +17,15 @@ from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_run import has_rakes, window_of
 from classic_ml.whole_run import check_rates
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, edges, sample_rows
+from comparisons.missing_effect.lag_data import (
+    LATER,
+    OTHER,
+    TRAIN,
+    FrozenReferences,
+    LagData,
+    edges,
+    sample_rows,
+)
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
@@ -284,11 +292,13 @@ def _joined(
         step_s=step_s,
         every=every,
         average_s=average_s,
-        mean_amplitude=amplitude,
-        mean_amplitude_as_is=as_is,
-        mean_speed=float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
-        phi_range=(float(fitted.min()), float(fitted.max())),
-        origin_s=_clock_zero_s(clock),
+        references=FrozenReferences(
+            amplitude,
+            as_is,
+            float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
+            (float(fitted.min()), float(fitted.max())),
+            _clock_zero_s(clock),
+        ),
         middle_s=0.5 * float(clock[0] + clock[-1]),
         surge_s=_surge_s(signals["phi"], made["fine_runs"], step_s),
         psi_levels=tuple(np.quantile(made["measured"][weight > 0.0], PSI_SHARES).tolist()),

@@ -50,8 +50,7 @@ def _second_order(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 def _amplitude_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     name = "amplitude" if values[1] > 0.5 else "amplitude_as_is"
-    mean = data.mean_amplitude if values[1] > 0.5 else data.mean_amplitude_as_is
-    swing = data[name] / mean - 1.0
+    swing = data[name] / getattr(data.references, f"mean_{name}") - 1.0
     return ports.with_tau_factor(np.maximum(1.0 + values[0] * swing, LEAST_TAU_SHARE))
 
 
@@ -103,12 +102,12 @@ def _heating_times(data: LagData) -> FloatArray:
 
 def clock_s(data: LagData) -> FloatArray:
     """Return the facility clock from its zero on."""
-    return np.asarray(data["time_s"] - data.origin_s)
+    return np.asarray(data["time_s"] - data.references.clock_zero_s)
 
 
 def _drooped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     speed = data["Nc_frac"]
-    return ports.with_gain((speed / data.mean_speed) ** values[0])
+    return ports.with_gain((speed / data.references.mean_speed) ** values[0])
 
 
 def _branched(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -216,12 +215,12 @@ def _splines(intervals: int, n_base: int) -> tuple[Any, FloatArray]:
 
 
 def _interval_grid(data: LagData) -> FloatArray:
-    return np.array([(count, *data.phi_range) for count in INTERVALS])
+    return np.array([(count, *data.references.phi_range) for count in INTERVALS])
 
 
 def _over_the_range(data: LagData, values: FloatArray) -> FloatArray:
     """Lay the knots over the φ of what is fitted now: more rows may reach further."""
-    return np.array([values[0], *data.phi_range])
+    return np.array([values[0], *data.references.phi_range])
 
 
 def _inertia(ports: Ports, data: LagData, values: FloatArray) -> Ports:
