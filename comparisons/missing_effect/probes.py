@@ -12,7 +12,7 @@ from comparisons.missing_effect.catalogue.workings import HIGHEST_SHARE, stall_e
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate
-from comparisons.missing_effect.fit import Fit, Solution, fit_structure, free_slopes, solved
+from comparisons.missing_effect.fit import Fit, Solution, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.ports import Ports, respond
@@ -67,8 +67,8 @@ class Prober:
         self.fit, self.data, self.metric = fit, data, metric
         self.solution: Solution = solved(fit.structure, data, metric, fit.nonlinear)
         self.ports = fit.structure.ports(data, fit.nonlinear)
-        seen = free_slopes(fit.structure, data, metric, fit.nonlinear, self.solution)
-        self.basis = np.column_stack([self.solution.basis, orthonormal(seen)])
+        slopes = orthonormal(self.solution.free_slopes())
+        self.basis = np.column_stack([self.solution.basis, slopes])
         self.errors = self.solution.errors
         self._here = self._answer(self.ports)
 
