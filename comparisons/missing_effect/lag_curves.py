@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.loading import Run, laid_out
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.quantities import model_equation

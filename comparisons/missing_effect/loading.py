@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,8 @@ from comparisons.missing_effect.lag_data import (
     TRAIN,
     FrozenReferences,
     LagData,
-    edges,
-    sample_rows,
+    Run,
+    laid_out,
 )
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
@@ -135,37 +135,8 @@ def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordRe
     return _joined(pieces, sources, _every(readings[0]), passes.sample_period_s, average_s)
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run: signals and nuisances on the fine grid, the coefficient and weights at samples."""
-
-    signals: Mapping[str, FloatArray]
-    nuisance: FloatArray
-    measured: FloatArray
-    weight: FloatArray
-
-
 # The runs of a record, and the mean amplitude of φ with its ends prolonged and as they stand.
 _Piece: TypeAlias = tuple[list[Run], tuple[float, float]]
-
-
-def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:
-    """Return the fields of `LagData` that runs make, one after the other."""
-    names = [n for n in runs[0].signals if all(n in run.signals for run in runs)]
-    measured, fine = (edges(sizes) for sizes in _sizes(runs))
-    return {
-        "signals": {name: np.concatenate([run.signals[name] for run in runs]) for name in names},
-        "nuisance": np.concatenate([run.nuisance for run in runs]),
-        "measured": np.concatenate([run.measured for run in runs]),
-        "weight": np.concatenate([run.weight for run in runs]),
-        "rows": sample_rows(measured, fine, every),
-        "runs": measured,
-        "fine_runs": fine,
-    }
-
-
-def _sizes(runs: Sequence[Run]) -> tuple[list[int], list[int]]:
-    return [run.measured.size for run in runs], [run.nuisance.shape[0] for run in runs]
 
 
 def _segments(record: CoefficientSeries) -> _Piece:
@@ -278,7 +249,7 @@ def _joined(
 ) -> LagData:
     made = laid_out([run for runs, _ in pieces for run in runs], every)
     signals, weight, nuisance = made["signals"], made["weight"], made["nuisance"]
-    sizes = [sum(_sizes(runs)[0]) for runs, _ in pieces]
+    sizes = [sum(run.measured.size for run in runs) for runs, _ in pieces]
     record = np.repeat(np.arange(len(pieces)), sizes)
     moving = np.ptp(nuisance, axis=0) > 1e-9
     part = _parts(record, weight, len(pieces))

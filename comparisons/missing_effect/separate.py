@@ -13,9 +13,8 @@ from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.lag_data import TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import Run, laid_out
 from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
