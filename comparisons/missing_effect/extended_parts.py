@@ -178,10 +178,10 @@ class FreeRun:
         """Return what the lag leaves at some rows of what was off by one where they began."""
         return np.asarray(np.exp(self._age[begun] - self._age[rows]))
 
-    def _gain(self, begun: int | IntArray, rows: IntArray) -> FloatArray | float:
+    def _gain(self, begun: int | IntArray, rows: IntArray) -> FloatArray:
         """Return the factor of the output at some rows over that where they began."""
-        gain = self._ports.out_gain
-        return 1.0 if gain is None else np.asarray(gain[rows] / gain[begun])
+        gain = np.broadcast_to(self._ports.out_gain, self.free.shape)
+        return np.asarray(gain[rows] / gain[begun])
 
     def _from_start(self, piece: IntArray) -> FloatArray:
         """Return what the measured start of a piece adds to its rows."""

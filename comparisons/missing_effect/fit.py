@@ -88,7 +88,7 @@ class Structure:
 
     def bare_ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
         """Return the ports once the effects at the input have acted, and no others."""
-        ports = Ports(data["phi"], np.zeros((data["phi"].size, 0)), ())
+        ports = Ports.of(data, data["phi"], ())
         for effect in self.in_order:
             if effect.port == "input":
                 ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
@@ -113,8 +113,7 @@ class Structure:
                 alone = effect.acts(bare, data, self.values_of(effect, nonlinear))
                 driven = alone.driven.shape[1] - n
                 home = widths if driven else behind
-                added = 0 if alone.added is None else alone.added.shape[1]
-                home[effect.name] = driven or added
+                home[effect.name] = driven or alone.added.shape[1]
         widths |= {NUISANCE: data.nuisance.shape[1], **behind}
         ends = np.cumsum([0, *widths.values()]).tolist()
         return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))

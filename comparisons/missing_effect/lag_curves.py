@@ -131,13 +131,9 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
             values = fit.values_of(effect)
             ports = effect.acts(ports, slow, values)
     q = ports.driven.shape[1]
-    value = ports.driven @ fit.coefficients[:q]
-    if ports.gain is not None:
-        value = value * ports.gain
-    if ports.added is not None:
-        # A loss without the lag is part of what a steady test would find.
-        behind = fit.coefficients[q + data.nuisance.shape[1] :]
-        value = value + ports.added @ behind[: ports.added.shape[1]]
+    # A loss without the lag is part of what a steady test would find.
+    behind = fit.coefficients[q + data.nuisance.shape[1] :][: ports.added.shape[1]]
+    value = ports.driven @ fit.coefficients[:q] * ports.gain + ports.added @ behind
     falling, rising = value[:CURVE_POINTS][::-1], value[CURVE_POINTS:]
     if np.allclose(falling, rising, rtol=0.0, atol=1e-9 * float(np.ptp(value) or 1.0)):
         return (Curve(label, grid, rising),)

@@ -76,9 +76,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     """
     ports = fit.structure.ports(data, fit.nonlinear)
     q = ports.driven.shape[1]
-    target = ports.driven @ fit.coefficients[:q]
-    if ports.gain is not None:
-        target = target * ports.gain
+    target = ports.driven @ fit.coefficients[:q] * ports.gain
     state = _slow(target, data, fit.tau_s)
     return data.with_signal("state", state).with_signal("relaxation", target - state)
 

@@ -119,18 +119,20 @@ class Prober:
         if effect.port == "input":
             raise ValueError("an effect at the input has no column of its own")
         q = self.ports.driven.shape[1]
-        p = 0 if self.ports.added is None else self.ports.added.shape[1]
+        p = self.ports.added.shape[1]
         driven, added, owner = [], [], []
         for i, start in enumerate(starts):
             after = effect.acts(self.ports, self.data, start)
             if after.driven.shape[1] > q:
                 driven.append(after.driven[:, q:])
                 owner += [i] * (after.driven.shape[1] - q)
-            elif after.added is not None and after.added.shape[1] > p:
+            elif after.added.shape[1] > p:
                 added.append((i, after.added[:, p:]))
         groups: list[list[FloatArray]] = [[] for _ in starts]
         if driven:
-            ports = replace(self.ports, driven=np.column_stack(driven), added=None)
+            ports = replace(
+                self.ports, driven=np.column_stack(driven), added=self.ports.added[:, :0]
+            )
             answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0]).columns
             for column, i in enumerate(owner):
                 groups[i].append(answer[:, column])

@@ -36,7 +36,7 @@ def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
         # are taken back, and not the model put off: what it has in reversed flow would move into
         # the rows that are scored.
         early = shifted(data["exit_Pa"], -values[0] / data.step_s, data.fine_runs)
-        return ports.with_known(data.of_exit(data["exit_Pa"] - early))
+        return replace(ports, known=ports.known + data.of_exit(data["exit_Pa"] - early))
     # Only what is smooth is shifted: noise on φ says nothing about a delay, but its own shift
     # would correlate with what it leaves in the errors.
     smooth = np.ascontiguousarray(data["phi_smooth"])
@@ -48,10 +48,15 @@ def _second_order(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return replace(ports, a2_s2=max(float(values[0]), 0.0))
 
 
+def _with_tau(ports: Ports, factor: FloatArray) -> Ports:
+    factor = np.maximum(factor, LEAST_TAU_SHARE)
+    return replace(ports, tau_factor=ports.tau_factor * factor)
+
+
 def _amplitude_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     name = "amplitude" if values[1] > 0.5 else "amplitude_as_is"
     swing = data[name] / getattr(data.references, f"mean_{name}") - 1.0
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * swing, LEAST_TAU_SHARE))
+    return _with_tau(ports, 1.0 + values[0] * swing)
 
 
 def _both_ways(data: LagData) -> FloatArray:
@@ -60,14 +65,14 @@ def _both_ways(data: LagData) -> FloatArray:
 
 
 def _asymmetric(ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * rising(data), LEAST_TAU_SHARE))
+    return _with_tau(ports, 1.0 + values[0] * rising(data))
 
 
 def _flow_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     # Of the measured φ averaged as ψ' was: without cells the same as φ itself.
     phi = data.get("phi_averaged", ports.phi)
     below = _share_below(phi, values[1], data)
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * below, LEAST_TAU_SHARE))
+    return _with_tau(ports, 1.0 + values[0] * below)
 
 
 def rising(data: LagData) -> FloatArray:
@@ -92,7 +97,7 @@ def _flow_thresholds(data: LagData) -> FloatArray:
 
 def _heated(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     a, time_s = values
-    return ports.with_gain(1.0 - a * (1.0 - np.exp(-clock_s(data) / time_s)))
+    return replace(ports, gain=ports.gain * (1.0 - a * (1.0 - np.exp(-clock_s(data) / time_s))))
 
 
 def _heating_times(data: LagData) -> FloatArray:
@@ -107,7 +112,7 @@ def clock_s(data: LagData) -> FloatArray:
 
 def _drooped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     speed = data["Nc_frac"]
-    return ports.with_gain((speed / data.references.mean_speed) ** values[0])
+    return replace(ports, gain=ports.gain * (speed / data.references.mean_speed) ** values[0])
 
 
 def _branched(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -230,15 +235,16 @@ def _inertia(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def _thermocouple(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     temperature = data.sampled(data["T25_K"])
     rate = data.sampled(data["dT25_K_s"])
-    return ports.with_out_gain(
-        temperature / np.maximum(temperature + values[0] * rate, 0.2 * temperature)
-    )
+    read = temperature / np.maximum(temperature + values[0] * rate, 0.2 * temperature)
+    return replace(ports, out_gain=ports.out_gain * read)
 
 
 def _sensitivity(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     if "exit_Pa" in data:
-        return ports.with_known(data.of_exit(values[0] * clock_s(data) * data["exit_Pa"]))
-    return ports.with_out_gain(1.0 + values[0] * data.sampled(clock_s(data)))
+        drifted = data.of_exit(values[0] * clock_s(data) * data["exit_Pa"])
+        return replace(ports, known=ports.known + drifted)
+    drifted = 1.0 + values[0] * data.sampled(clock_s(data))
+    return replace(ports, out_gain=ports.out_gain * drifted)
 
 
 def _bias(ports: Ports, data: LagData, values: FloatArray) -> Ports:
