@@ -120,15 +120,15 @@ def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordRe
     """Return the rows of free runs: all that flow forward, of both branches, are scored."""
     found = [_whole_runs(*both) for both in zip(records, readings, strict=True)]
     widths = [runs[0].nuisance.shape[1] - 2 for runs, _ in found]
-    first = np.concatenate([[0], np.cumsum(widths)])
     # The unstalled branch is each record's own, the loss in reversed flow that of the machine.
     pieces = []
-    for (runs, amplitudes), start, width in zip(found, first, widths, strict=False):
+    for i, (runs, amplitudes) in enumerate(found):
+        beside = (sum(widths[:i]), sum(widths[i + 1 :]))
         laid = []
         for run in runs:
-            own = np.zeros((run.nuisance.shape[0], first[-1] + 2))
-            own[:, start : start + width], own[:, -2:] = run.nuisance[:, :-2], run.nuisance[:, -2:]
-            laid.append(replace(run, nuisance=own))
+            own, shared = np.split(run.nuisance, [-2], axis=1)
+            nuisance = np.column_stack([np.pad(own, ((0, 0), beside)), shared])
+            laid.append(replace(run, nuisance=nuisance))
         pieces.append((laid, amplitudes))
     passes, average_s = readings[0].passes, readings[0].spec.average_s
     sources = [record.source for record in records]
