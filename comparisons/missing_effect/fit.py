@@ -127,11 +127,6 @@ class Structure:
                 out[list(self.slots[effect.name])] = effect.adapted(data, own)
         return out
 
-    def without(self, effect: Effect, nonlinear: FloatArray) -> tuple[Structure, FloatArray]:
-        """Return the structure and the vector without one effect."""
-        kept = tuple(e for e in self.effects if e.name != effect.name)
-        return Structure(self.terms, kept), np.delete(nonlinear, self.slots[effect.name])
-
     def respond(self, data: LagData, nonlinear: FloatArray) -> Response:
         """Return the answer to every linear coefficient, at the samples."""
         return respond(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))
@@ -230,7 +225,9 @@ class Fit:
 
     def without(self, effect: Effect) -> Fit:
         """Return the model without an effect, to be fitted again."""
-        return Fit(*self.structure.without(effect, self.nonlinear))
+        kept = tuple(e for e in self.structure.effects if e.name != effect.name)
+        others = np.delete(self.nonlinear, self.structure.slots[effect.name])
+        return Fit(Structure(self.structure.terms, kept), others)
 
     def without_amplitude(self, effect: Effect, data: LagData) -> Fit:
         """Return the model with the amplitude of one effect at zero, everything else as it is."""
