@@ -325,7 +325,7 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
     Where a row turns back just at a threshold, no slope leads over the jump.
     """
     trials = [start]
-    reach = data.phi_range[1] - data.phi_range[0]
+    reach = data.references.phi_range[1] - data.references.phi_range[0]
     for at in structure.switching:
         for step in NUDGES:
             for sign in (-1.0, 1.0):

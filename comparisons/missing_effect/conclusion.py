@@ -229,7 +229,7 @@ def _over_jumps(fit: Fit, data: LagData, bench: Bench, stderr: FloatArray) -> Fl
     Each of several steps to either side is taken for as many standard errors as it costs.
     """
     out = stderr.copy()
-    reach = data.phi_range[1] - data.phi_range[0]
+    reach = data.references.phi_range[1] - data.references.phi_range[0]
     here = solved(fit.structure, data, bench.metric, fit.nonlinear).cost
     for at in fit.structure.switching:
         for step in JUMP_STEPS:

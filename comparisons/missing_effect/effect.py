@@ -10,7 +10,6 @@ import numpy as np
 
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 PortName = Literal["input", "characteristic", "lag", "output", "noise"]
@@ -190,20 +189,3 @@ class Effect:
         if self.linear:
             return shapes
         return np.column_stack([np.full(shapes.shape[0], amplitude), shapes])
-
-    def checked(self, values: FloatArray) -> FloatArray:
-        """Return the values of ``nonlinear``, refused where they are not physical.
-
-        Raises
-        ------
-        InputError
-            When one is outside its bounds.
-        """
-        for parameter, value in zip(self.nonlinear, values, strict=True):
-            if not parameter.low <= value <= parameter.high:
-                raise InputError(
-                    f"{self.name}: {parameter.name}",
-                    expected=f"{parameter.low:g} to {parameter.high:g} {parameter.unit}",
-                    found=f"{value:g}",
-                )
-        return values

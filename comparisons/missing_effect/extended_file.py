@@ -29,8 +29,8 @@ from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
     SHAPE,
     AddedEffect,
-    FrozenReferences,
 )
+from comparisons.missing_effect.lag_data import FrozenReferences
 from comparisons.missing_effect.ports import n_powers
 from comparisons.results import is_known_term
 from surge_core.errors import InputError

@@ -21,13 +21,13 @@ from comparisons.missing_effect.extended_parts import (
     SHAPE,
     AddedEffect,
     FreeRun,
-    FrozenReferences,
     by_record,
     finite,
     on_segments,
     rows_in,
 )
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
+from comparisons.missing_effect.lag_data import FrozenReferences
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
@@ -214,15 +214,15 @@ class ExtendedLag(Displayed):
                     expected=f"the column {needed}, which {added.name} needs",
                     found="none",
                 )
-        plain = load_data([on_segments(record, record.segment)])
-        data = self.references.on(plain)
+        data = load_data([on_segments(record, record.segment)])
+        data = replace(data, references=self.references)
         acting = [added for added in self.effects if added.acts]
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
         groups = {added.name: np.asarray(added.coefficients) for added in acting}
         groups[TERMS] = np.asarray(self.coefficients)
         structure = Structure(self.terms, tuple(added.effect for added in acting))
         fit = Fit.assembled(structure, data, np.concatenate(nonlinear), groups)
-        return FreeRun(data, fit, rows_in(record, plain.sampled(plain["time_s"])))
+        return FreeRun(data, fit, rows_in(record, data.sampled(data["time_s"])))
 
     def free_run_over(
         self, rows: FitRows, records: Sequence[CoefficientSeries], labels: IntArray | None = None

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
@@ -91,48 +90,6 @@ class AddedEffect:
         }
 
 
-@dataclass(frozen=True)
-class FrozenReferences:
-    """What effects are measured from; frozen with the fit, or they would mean another thing.
-
-    Parameters
-    ----------
-    mean_amplitude, mean_amplitude_as_is : float
-        Mean amplitude of φ, at which τ is stated.
-    mean_speed : float
-        Mean corrected speed, at which the characteristic is stated.
-    phi_range : tuple of float
-        Range of φ that was fitted.
-    clock_zero_s : float
-        Facility clock from which drifts and the heating of the facility count, in seconds.
-    """
-
-    mean_amplitude: float
-    mean_amplitude_as_is: float
-    mean_speed: float
-    phi_range: tuple[float, float]
-    clock_zero_s: float
-
-    @classmethod
-    def of(cls, data: LagData) -> FrozenReferences:
-        """Take the references of the rows that a model is fitted to."""
-        # The engine's own clock is the facility clock less its zero.
-        zero_s = float(data["time_s"][0] - clock_s(data)[0])
-        return cls(
-            data.mean_amplitude, data.mean_amplitude_as_is, data.mean_speed, data.phi_range, zero_s
-        )
-
-    def on(self, data: LagData) -> LagData:
-        """Return rows in which every effect is measured from these references."""
-        data = data.with_signal("time_s", data["time_s"] - self.clock_zero_s)
-        return replace(data, origin_s=0.0, **self.levels)
-
-    @property
-    def levels(self) -> dict[str, Any]:
-        """All but the clock, by their names in `LagData`."""
-        return {name: value for name, value in vars(self).items() if name != "clock_zero_s"}
-
-
 def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeries:
     """Return a record of such segments, without the unfiltered columns that it may carry."""
     return replace(
@@ -201,32 +158,37 @@ class FreeRun:
 
     def one_step(self) -> tuple[FloatArray, BoolArray]:
         """Return each sample predicted from the measured one before it, and where there is one."""
-        free, gain = self.free, self._gain
-        known = np.zeros(free.size, dtype=np.bool_)
+        known = np.zeros(self.free.size, dtype=np.bool_)
         for run in self.data.slices:
             known[run.start + 1 : run.stop] = self.scored[run][:-1] & self.scored[run][1:]
-        now = np.flatnonzero(known)
-        before = now - 1
-        left = gain[now] / gain[before] * np.exp(self._age[before] - self._age[now])
-        out = free.copy()
-        out[now] += left * (self.data.measured[before] - free[before])
+        now, out = np.flatnonzero(known), self.free.copy()
+        left = self._gain(now - 1, now) * self._lasting(now - 1, now)
+        out[now] += left * (self.data.measured - self.free)[now - 1]
         return out, known
 
     @cached_property
     def _ports(self) -> Ports:
         return self.fit.structure.ports(self.data, self.fit.nonlinear)
 
-    @property
-    def _gain(self) -> FloatArray:
-        gain = self._ports.out_gain
-        return np.ones(self.data.n_samples) if gain is None else gain
+    @cached_property
+    def _age(self) -> FloatArray:
+        return ages(self._ports, self.data, self.fit.tau_s)
+
+    def _lasting(self, begun: int | IntArray, rows: IntArray) -> FloatArray:
+        """Return what the lag leaves at some rows of what was off by one where they began."""
+        return np.asarray(np.exp(self._age[begun] - self._age[rows]))
+
+    def _gain(self, begun: int | IntArray, rows: IntArray) -> FloatArray:
+        """Return the factor of the output at some rows over that where they began."""
+        gain = np.broadcast_to(self._ports.out_gain, self.free.shape)
+        return np.asarray(gain[rows] / gain[begun])
 
     def _from_start(self, piece: IntArray) -> FloatArray:
         """Return what the measured start of a piece adds to its rows."""
-        gain, off = self._gain[piece], self.data.measured[piece] - self.free[piece]
-        lasting = np.exp(self._age[piece[0]] - self._age[piece])
+        off = self.data.measured[piece] - self.free[piece]
+        lasting, gain = self._lasting(piece[0], piece), self._gain(piece[0], piece)
         if self._ports.a2_s2 == 0.0:
-            return np.asarray(off[0] / gain[0] * gain * lasting)
+            return np.asarray(off[0] * gain * lasting)
         # ψ' and its rate: two numbers, of which one row measures but one. A lag of second order
         # forgets in two ways, the second a swing or a shorter time.
         slow_s, fast_s, turn = lag_times(self.fit.tau_s, self._ports.a2_s2)
@@ -236,11 +198,7 @@ class FreeRun:
             second, lasts_s = np.exp(-since_s / slow_s) * np.sin(turn * since_s), 1.0 / turn
         else:
             second, lasts_s = np.exp(-since_s / fast_s), fast_s
-        modes = gain[:, None] * np.column_stack([lasting, second])
+        modes = np.column_stack([gain * lasting, gain * second])
         n = max(LEAST_START_ROWS, round(START_TIMES * lasts_s / period_s))
         sizes = np.linalg.lstsq(modes[:n], off[:n], rcond=1e-6)[0]
         return np.asarray(modes @ sizes)
-
-    @cached_property
-    def _age(self) -> FloatArray:
-        return ages(self._ports, self.data, self.fit.tau_s)

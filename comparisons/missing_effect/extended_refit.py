@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
@@ -20,7 +20,6 @@ from comparisons.missing_effect.extended_parts import (
     REVERSE,
     SHAPE,
     AddedEffect,
-    FrozenReferences,
     by_record,
     on_segments,
 )
@@ -157,7 +156,7 @@ def _value(fit: Fit, bench: Bench) -> ExtendedLag:
         tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
         effects,
-        FrozenReferences.of(data),
+        data.references,
         noise.sigma,
         noise.innovation,
         noise.ar,
@@ -193,76 +192,36 @@ def _table(
     return tuple(zip(grid.tolist(), value.tolist(), error.tolist(), strict=True))
 
 
-@dataclass(frozen=True)
-class ExtendedLagFit:
-    """A fitted lag model with effects, with the attributes of an estimator.
+def as_estimator(model: ExtendedLag, *, whole_runs: bool = False) -> SimpleNamespace:
+    """Return a fitted model with the attributes of an estimator.
 
-    Its terms and its characteristic are functions of φ alone; what else the model holds is in
-    ``extended_``, which reconstructs.
-
-    Parameters
-    ----------
-    extended_ : ExtendedLag
-        The model.
-    from_whole_runs_ : bool
-        Whether it was fitted to unfiltered signals of whole records.
+    Terms and characteristic are functions of φ alone, of a free shape the largest coefficient that
+    it adds; what else the model holds is in ``extended_``, which reconstructs.
     """
+    stderr = [*model.stderr, *(one.stderr[0] for one in model.bending)]
+    words = [
+        f"{name} is left out of the reconstruction: its phase is not known beforehand"
+        for name in model.left_out
+    ]
+    if whole_runs:
+        words.append("fitted to unfiltered signals, scored on the filtered rows of the others")
 
-    extended_: ExtendedLag
-    from_whole_runs_: bool = False
+    def characteristic(phi: FloatArray) -> tuple[FloatArray, FloatArray]:
+        grid, _, error = np.asarray(model.table).T
+        return model.quasi_steady(phi), np.interp(phi, grid, error)
 
-    @property
-    def time_constant_s_(self) -> float:
-        """τ, in seconds."""
-        return self.extended_.time_constant_s
-
-    @property
-    def time_constant_stderr_s_(self) -> float:
-        """Its standard error, in seconds."""
-        return self.extended_.time_constant_stderr_s
-
-    @property
-    def terms_(self) -> list[str]:
-        """Names of the terms, effects that are functions of φ alone among them."""
-        return [*self.extended_.terms, *(_CURVE_NAMES[one.name] for one in self._bending)]
-
-    @property
-    def coef_(self) -> FloatArray:
-        """One coefficient a term; of a free shape the largest it adds."""
-        return np.array([*self.extended_.coefficients, *(one.values[0] for one in self._bending)])
-
-    @property
-    def covariance_(self) -> FloatArray:
-        """Variances of the coefficients; those between them are in the characteristic's error."""
-        return np.diag(
-            np.square([*self.extended_.stderr, *(one.stderr[0] for one in self._bending)])
-        )
-
-    @property
-    def n_blocks_(self) -> int:
-        """Blocks behind the standard errors."""
-        return self.extended_.n_blocks
-
-    @property
-    def cautions_(self) -> tuple[str, ...]:
-        """What a reader should know of its scores."""
-        words = [
-            f"{name} is left out of the reconstruction: its phase is not known beforehand"
-            for name in self.extended_.left_out
-        ]
-        if self.from_whole_runs_:
-            words.append("fitted to unfiltered signals, scored on the filtered rows of the others")
-        return tuple(words)
-
-    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return ψ'_QS and its standard error at φ, of shape (n,)."""
-        points = np.asarray(phi, dtype=np.float64)
-        grid, _, stderr = np.asarray(self.extended_.table).T
-        return self.extended_.quasi_steady(points), np.interp(points, grid, stderr)
-
-    @property
-    def _bending(self) -> tuple[AddedEffect, ...]:
-        return self.extended_.bending
+    return SimpleNamespace(
+        extended_=model,
+        time_constant_s_=model.time_constant_s,
+        time_constant_stderr_s_=model.time_constant_stderr_s,
+        terms_=[*model.terms, *(_CURVE_NAMES[one.name] for one in model.bending)],
+        coef_=[*model.coefficients, *(one.values[0] for one in model.bending)],
+        # What the coefficients share is in the error of the characteristic.
+        covariance_=np.diag(np.square(stderr)),
+        characteristic=characteristic,
+        n_blocks_=model.n_blocks,
+        cautions_=tuple(words),
+    )
 
 
 def extended_specs(
@@ -286,13 +245,13 @@ def extended_specs(
 
 def _fit_records(
     model: ExtendedLag, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
-) -> ExtendedLagFit:
-    return ExtendedLagFit(refitted(model, records, until_s), from_whole_runs_=True)
+) -> SimpleNamespace:
+    return as_estimator(refitted(model, records, until_s), whole_runs=True)
 
 
 def _fit_rows(
     model: ExtendedLag, rows: FitRows, records: Sequence[CoefficientSeries]
-) -> ExtendedLagFit:
+) -> SimpleNamespace:
     """Fit the rows alone, with what their records know beside φ."""
     marked = []
     for record, own, at in by_record(rows, records):
@@ -300,4 +259,4 @@ def _fit_rows(
             labels = np.zeros(record.n_samples, dtype=np.int64)
             labels[at] = rows.labels[own]
             marked.append(on_segments(record, labels))
-    return ExtendedLagFit(refitted(model, marked))
+    return as_estimator(refitted(model, marked))

@@ -88,7 +88,7 @@ class Structure:
 
     def bare_ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
         """Return the ports once the effects at the input have acted, and no others."""
-        ports = Ports(data["phi"], np.zeros((data["phi"].size, 0)), ())
+        ports = Ports.of(data, data["phi"], ())
         for effect in self.in_order:
             if effect.port == "input":
                 ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
@@ -113,8 +113,7 @@ class Structure:
                 alone = effect.acts(bare, data, self.values_of(effect, nonlinear))
                 driven = alone.driven.shape[1] - n
                 home = widths if driven else behind
-                added = 0 if alone.added is None else alone.added.shape[1]
-                home[effect.name] = driven or added
+                home[effect.name] = driven or alone.added.shape[1]
         widths |= {NUISANCE: data.nuisance.shape[1], **behind}
         ends = np.cumsum([0, *widths.values()]).tolist()
         return dict(zip(widths, starmap(slice, pairwise(ends)), strict=True))
@@ -127,11 +126,6 @@ class Structure:
                 own = self.values_of(effect, nonlinear)
                 out[list(self.slots[effect.name])] = effect.adapted(data, own)
         return out
-
-    def without(self, effect: Effect, nonlinear: FloatArray) -> tuple[Structure, FloatArray]:
-        """Return the structure and the vector without one effect."""
-        kept = tuple(e for e in self.effects if e.name != effect.name)
-        return Structure(self.terms, kept), np.delete(nonlinear, self.slots[effect.name])
 
     def respond(self, data: LagData, nonlinear: FloatArray) -> Response:
         """Return the answer to every linear coefficient, at the samples."""
@@ -231,7 +225,9 @@ class Fit:
 
     def without(self, effect: Effect) -> Fit:
         """Return the model without an effect, to be fitted again."""
-        return Fit(*self.structure.without(effect, self.nonlinear))
+        kept = tuple(e for e in self.structure.effects if e.name != effect.name)
+        others = np.delete(self.nonlinear, self.structure.slots[effect.name])
+        return Fit(Structure(self.structure.terms, kept), others)
 
     def without_amplitude(self, effect: Effect, data: LagData) -> Fit:
         """Return the model with the amplitude of one effect at zero, everything else as it is."""
@@ -252,13 +248,17 @@ class Fit:
         return metric.seen(data.measured - self.output(data), decay, data)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """The linear parameters at given others, and the errors that they leave in the metric.
 
     ``basis`` spans what they can move, orthonormally; ``decay`` is what a start leaves.
     """
 
+    structure: Structure
+    data: LagData
+    metric: Metric
+    nonlinear: FloatArray
     coefficients: FloatArray
     errors: FloatArray
     basis: FloatArray
@@ -268,6 +268,52 @@ class Solution:
     def cost(self) -> float:
         """Half the sum of squared errors."""
         return 0.5 * float(self.errors @ self.errors)
+
+    def free_slopes(self) -> FloatArray:
+        """Return how the errors move with the searched parameters beyond what the others do."""
+        slopes = self.structure.slopes(
+            self.data, self.nonlinear, self.coefficients, self.structure.free
+        )
+        slopes[:, 0] += self._slope_of_starts()
+        seen = self.metric.seen(slopes, self.decay, self.data)
+        return np.asarray(seen - self.basis @ (self.basis.T @ seen))
+
+    def _slope_of_starts(self) -> FloatArray:
+        """Return how what is left of the starts of the runs moves with log τ.
+
+        A short run, or one that begins in a reversal, ends at another τ without it.
+        """
+        output = self.structure.output(self.data, self.nonlinear, self.coefficients)
+        left = self.data.measured - output
+        seen, decay = (self.metric.whitened(v, self.data) for v in (left, self.decay))
+        moved = -self.decay * np.log(np.maximum(self.decay, 1e-300))
+        for run in self.data.slices:
+            norm = float(decay[run] @ decay[run])
+            moved[run] *= float(decay[run] @ seen[run]) / norm if norm > 1e-12 else 0.0
+        return moved
+
+    def stepped(self, damping: float) -> tuple[Solution, float]:
+        """Return where a step that gains leads, and the next damping; itself where none gains."""
+        free = list(self.structure.free)
+        low, high = self.structure.bounds.T
+        seen = self.free_slopes()
+        normal, gradient = seen.T @ seen, seen.T @ self.errors
+        size = np.diag(normal).copy()
+        size[size <= 0.0] = 1.0
+        while damping < 1e8:
+            step = np.linalg.solve(normal + damping * np.diag(size), gradient)
+            if float(gradient @ step) - 0.5 * float(step @ normal @ step) < LEAST_GAIN:
+                break
+            there = self.nonlinear.copy()
+            there[free] += step
+            there = np.clip(there, low, high)
+            # log τ never moves by more than a factor of three at once.
+            there[0] = np.clip(there[0], self.nonlinear[0] - 1.1, self.nonlinear[0] + 1.1)
+            moved = solved(self.structure, self.data, self.metric, there)
+            if np.isfinite(moved.cost) and moved.cost < self.cost:
+                return moved, max(damping / 10.0, 1e-9)
+            damping = max(10.0 * damping, 1e-3)
+        return self, damping
 
 
 def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: FloatArray) -> Solution:
@@ -290,7 +336,8 @@ def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: Float
         basis = left[:, kept]
         along = basis.T @ target
         coefficients = (right[kept].T @ (along / size[kept])) / scale
-    return Solution(coefficients, target - basis @ along, basis, answer.decay)
+    errors = target - basis @ along
+    return Solution(structure, data, metric, nonlinear, coefficients, errors, basis, answer.decay)
 
 
 def fit_structure(
@@ -310,72 +357,15 @@ def fit_structure(
 
 
 def _descend(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> Fit:
-    low, high = structure.bounds.T
-    here = np.clip(np.asarray(start, dtype=np.float64), low, high)
+    here = np.clip(np.asarray(start, dtype=np.float64), *structure.bounds.T)
     found = solved(structure, data, metric, here)
     damping, steps, gained = 1e-4, 0, np.inf
     while gained >= LEAST_GAIN and steps < MOST_STEPS:
-        before = found
-        here, found, damping = _step(structure, data, metric, here, found, damping)
-        steps, gained = steps + 1, before.cost - found.cost
-    return Fit(structure, here, found.coefficients, found.cost, gained < LEAST_GAIN)
-
-
-def _step(
-    structure: Structure,
-    data: LagData,
-    metric: Metric,
-    here: FloatArray,
-    found: Solution,
-    damping: float,
-) -> tuple[FloatArray, Solution, float]:
-    """Return where a step that gains leads; the same place where none gains any more."""
-    free = list(structure.free)
-    low, high = structure.bounds.T
-    seen = free_slopes(structure, data, metric, here, found)
-    normal, gradient = seen.T @ seen, seen.T @ found.errors
-    size = np.diag(normal).copy()
-    size[size <= 0.0] = 1.0
-    while damping < 1e8:
-        step = np.linalg.solve(normal + damping * np.diag(size), gradient)
-        if float(gradient @ step) - 0.5 * float(step @ normal @ step) < LEAST_GAIN:
-            break
-        there = here.copy()
-        there[free] += step
-        there = np.clip(there, low, high)
-        # log τ never moves by more than a factor of three at once.
-        there[0] = np.clip(there[0], here[0] - 1.1, here[0] + 1.1)
-        moved = solved(structure, data, metric, there)
-        if np.isfinite(moved.cost) and moved.cost < found.cost:
-            return there, moved, max(damping / 10.0, 1e-9)
-        damping = max(10.0 * damping, 1e-3)
-    return here, found, damping
-
-
-def free_slopes(
-    structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
-) -> FloatArray:
-    """Return how the errors move with the searched parameters beyond what the linear ones do."""
-    slopes = structure.slopes(data, here, found.coefficients, structure.free)
-    slopes[:, 0] += _slope_of_starts(structure, data, metric, here, found)
-    seen = metric.seen(slopes, found.decay, data)
-    return np.asarray(seen - found.basis @ (found.basis.T @ seen))
-
-
-def _slope_of_starts(
-    structure: Structure, data: LagData, metric: Metric, here: FloatArray, found: Solution
-) -> FloatArray:
-    """Return how what is left of the starts of the runs moves with log τ.
-
-    A short run, or one that begins in a reversal, ends at another τ without it.
-    """
-    left = data.measured - structure.output(data, here, found.coefficients)
-    seen, decay = (metric.whitened(values, data) for values in (left, found.decay))
-    moved = -found.decay * np.log(np.maximum(found.decay, 1e-300))
-    for run in data.slices:
-        norm = float(decay[run] @ decay[run])
-        moved[run] *= float(decay[run] @ seen[run]) / norm if norm > 1e-12 else 0.0
-    return moved
+        before = found.cost
+        found, damping = found.stepped(damping)
+        steps, gained = steps + 1, before - found.cost
+    converged = gained < LEAST_GAIN
+    return Fit(structure, found.nonlinear, found.coefficients, found.cost, converged)
 
 
 def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tuple[float, float]]:

@@ -99,25 +99,21 @@ def _second_order_step(a2_steps: float, tau_steps: float) -> tuple[FloatArray, F
     return ahead[0], back
 
 
-@compiled
 def shifted(signal: FloatArray, steps: float, runs: IntArray) -> FloatArray:
     """Return a signal later by any number of steps, by cubics through four rows of each run."""
     out = np.empty_like(signal)
-    for r in range(runs.shape[0]):
-        start, stop = runs[r, 0], runs[r, 1]
-        for k in range(start, stop):
-            at = min(max(k - steps, float(start)), float(stop - 1))
-            i = min(max(int(np.floor(at)), start), stop - 2)
-            f = at - i
-            y0 = signal[max(i - 1, start)]
-            y1, y2 = signal[i], signal[i + 1]
-            y3 = signal[min(i + 2, stop - 1)]
-            out[k] = (
-                -f * (f - 1.0) * (f - 2.0) / 6.0 * y0
-                + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * y1
-                - (f + 1.0) * f * (f - 2.0) / 2.0 * y2
-                + (f + 1.0) * f * (f - 1.0) / 6.0 * y3
-            )
+    for start, stop in runs:
+        last = stop - start - 1
+        at = np.clip(np.arange(last + 1) - steps, 0.0, last)
+        left = np.minimum(at.astype(np.int64), last - 1)
+        f = at - left
+        y0, y1, y2, y3 = (signal[start + np.clip(left + k, 0, last)] for k in (-1, 0, 1, 2))
+        out[start:stop] = (
+            -f * (f - 1.0) * (f - 2.0) / 6.0 * y0
+            + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * y1
+            - (f + 1.0) * f * (f - 2.0) / 2.0 * y2
+            + (f + 1.0) * f * (f - 1.0) / 6.0 * y3
+        )
     return out
 
 
@@ -130,21 +126,6 @@ def whiten(columns: FloatArray, ar: FloatArray, weight: FloatArray, runs: IntArr
     out[weight == 0.0] = 0.0
     for start, stop in runs:
         out[start : min(start + ar.size, stop)] = 0.0
-    return out
-
-
-@compiled
-def piecewise_cubics(at: FloatArray, pieces: FloatArray) -> FloatArray:
-    """Return splines at points of [0, 1]: cubics about the left ends of equal intervals."""
-    intervals, _, q = pieces.shape
-    out = np.empty((at.size, q))
-    for k in range(at.size):
-        i = min(int(at[k] * intervals), intervals - 1)
-        x = at[k] - i / intervals
-        for j in range(q):
-            out[k, j] = pieces[i, 0, j] + x * (
-                pieces[i, 1, j] + x * (pieces[i, 2, j] + x * pieces[i, 3, j])
-            )
     return out
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
-from comparisons.missing_effect.loading import Run, laid_out
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.quantities import model_equation
@@ -40,10 +39,10 @@ def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
     names = fit.structure.names
     clock = clock_s(data)
     middle = float(np.mean(clock))
-    states: list[tuple[str, float, float]] = [("", middle, data.mean_speed)]
+    states: list[tuple[str, float, float]] = [("", middle, data.references.mean_speed)]
     if "facility_heating" in names:
         states = [
-            (f"at {at:.3g} s", at, data.mean_speed)
+            (f"at {at:.3g} s", at, data.references.mean_speed)
             for at in (float(clock.min()), float(clock.max()))
         ]
     elif "speed_droop" in names:
@@ -132,13 +131,9 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
             values = fit.values_of(effect)
             ports = effect.acts(ports, slow, values)
     q = ports.driven.shape[1]
-    value = ports.driven @ fit.coefficients[:q]
-    if ports.gain is not None:
-        value = value * ports.gain
-    if ports.added is not None:
-        # A loss without the lag is part of what a steady test would find.
-        behind = fit.coefficients[q + data.nuisance.shape[1] :]
-        value = value + ports.added @ behind[: ports.added.shape[1]]
+    # A loss without the lag is part of what a steady test would find.
+    behind = fit.coefficients[q + data.nuisance.shape[1] :][: ports.added.shape[1]]
+    value = ports.driven @ fit.coefficients[:q] * ports.gain + ports.added @ behind
     falling, rising = value[:CURVE_POINTS][::-1], value[CURVE_POINTS:]
     if np.allclose(falling, rising, rtol=0.0, atol=1e-9 * float(np.ptp(value) or 1.0)):
         return (Curve(label, grid, rising),)
@@ -161,8 +156,8 @@ def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> La
             signals[name] = direction if name.startswith("dphi") else still
     signals |= {
         "time_s": np.full(n, clock),
-        "amplitude": np.full(n, data.mean_amplitude),
-        "amplitude_as_is": np.full(n, data.mean_amplitude_as_is),
+        "amplitude": np.full(n, data.references.mean_amplitude),
+        "amplitude_as_is": np.full(n, data.references.mean_amplitude_as_is),
         "Nc_frac": np.full(n, speed),
         "relaxation": still,
         "state": still,
@@ -176,5 +171,5 @@ def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> La
         every=1,
         average_s=0.0,
         # The clock is given as the effects count it.
-        origin_s=0.0,
+        references=replace(data.references, clock_zero_s=0.0),
     )

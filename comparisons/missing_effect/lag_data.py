@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,40 @@ from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
 TRAIN, LATER, OTHER = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class FrozenReferences:
+    """What effects are measured from; frozen with the fit, or they would mean another thing.
+
+    Parameters
+    ----------
+    mean_amplitude, mean_amplitude_as_is : float
+        Mean amplitude of φ, at which τ is stated: with the ends of the records prolonged, and as
+        they stand.
+    mean_speed : float
+        Mean corrected speed, at which the characteristic is stated.
+    phi_range : tuple of float
+        Range of φ that was fitted.
+    clock_zero_s : float
+        Facility clock from which drifts and the heating of the facility count, in seconds.
+    """
+
+    mean_amplitude: float
+    mean_amplitude_as_is: float
+    mean_speed: float
+    phi_range: tuple[float, float]
+    clock_zero_s: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: signals and nuisances on the fine grid, the coefficient and weights at samples."""
+
+    signals: Mapping[str, FloatArray]
+    nuisance: FloatArray
+    measured: FloatArray
+    weight: FloatArray
 
 
 @dataclass(frozen=True)
@@ -45,13 +80,10 @@ class LagData:
         Fine steps to a sample.
     average_s : float
         Length of the average that the measured coefficient passed; 0 for none.
-    mean_amplitude, mean_amplitude_as_is, mean_speed : float
-        Amplitude of φ (with the ends of the records prolonged, and as they stand) and corrected
-        speed, means over the records.
-    phi_range : tuple of float
-        Range of the φ that is fitted.
-    origin_s, middle_s : float
-        Zero of the facility clock, and its middle over all records, in seconds.
+    references : FrozenReferences
+        What effects are measured from.
+    middle_s : float
+        Middle of the facility clock over all records, in seconds.
     surge_s : float
         Period of surge, in seconds.
     psi_levels : tuple of float
@@ -74,11 +106,7 @@ class LagData:
     step_s: float
     every: int
     average_s: float
-    mean_amplitude: float
-    mean_amplitude_as_is: float
-    mean_speed: float
-    phi_range: tuple[float, float]
-    origin_s: float
+    references: FrozenReferences
     middle_s: float
     surge_s: float
     psi_levels: tuple[float, float, float]
@@ -144,24 +172,15 @@ class LagData:
 
     def up_to(self, wanted: NDArray[np.bool_]) -> LagData:
         """Return the runs cut behind their last wanted samples; those without one are left out."""
-        heads = zip(self._heads(wanted), self.fine_runs[:, 0], strict=True)
-        pairs = [
-            (run, at + np.arange((run.size - 1) * self.every + 1)) for run, at in heads if run.size
-        ]
-        runs, fine_runs = (edges([own.size for own in each]) for each in zip(*pairs, strict=True))
-        kept, fine_rows = (np.concatenate(each) for each in zip(*pairs, strict=True))
-        return replace(
-            self,
-            signals={name: values[fine_rows] for name, values in self.signals.items()},
-            nuisance=self.nuisance[fine_rows],
-            measured=self.measured[kept],
-            weight=self.weight[kept],
-            part=self.part[kept],
-            record=self.record[kept],
-            rows=sample_rows(runs, fine_runs, self.every),
-            runs=runs,
-            fine_runs=fine_runs,
-        )
+        heads = [head for head in self._heads(wanted) if head.size]
+        kept = np.concatenate(heads)
+        runs = laid_out([self._cut(head[0], head[-1]) for head in heads], self.every)
+        return replace(self, **runs, part=self.part[kept], record=self.record[kept])
+
+    def _cut(self, first: int, last: int) -> Run:
+        own, fine = slice(first, last + 1), slice(self.rows[first], self.rows[last] + 1)
+        signals = {name: values[fine] for name, values in self.signals.items()}
+        return Run(signals, self.nuisance[fine], self.measured[own], self.weight[own])
 
     def sampled(self, values: FloatArray) -> FloatArray:
         """Return a fine signal at the samples."""
@@ -208,7 +227,8 @@ class LagData:
     def over_all_phi(self) -> LagData:
         """Return the same data with the range of φ of all scored rows."""
         phi = self.signals["phi"][self.rows[self.weight > 0.0]]
-        return replace(self, phi_range=(float(phi.min()), float(phi.max())))
+        reach = float(phi.min()), float(phi.max())
+        return replace(self, references=replace(self.references, phi_range=reach))
 
     def with_measured(self, measured: FloatArray) -> LagData:
         """Return the same inputs with another measured coefficient."""
@@ -219,13 +239,24 @@ class LagData:
         return replace(self, part=np.asarray(part, dtype=np.int8))
 
 
-def edges(sizes: Sequence[int]) -> IntArray:
+def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:
+    """Return the fields of `LagData` that runs make, one after the other."""
+    names = [n for n in runs[0].signals if all(n in run.signals for run in runs)]
+    measured = _edges([run.measured.size for run in runs])
+    fine = _edges([run.nuisance.shape[0] for run in runs])
+    firsts = zip(fine[:, 0], np.diff(measured)[:, 0], strict=True)
+    return {
+        "signals": {name: np.concatenate([run.signals[name] for run in runs]) for name in names},
+        "nuisance": np.concatenate([run.nuisance for run in runs]),
+        "measured": np.concatenate([run.measured for run in runs]),
+        "weight": np.concatenate([run.weight for run in runs]),
+        "rows": np.concatenate([first + every * np.arange(size) for first, size in firsts]),
+        "runs": measured,
+        "fine_runs": fine,
+    }
+
+
+def _edges(sizes: Sequence[int]) -> IntArray:
     """Return first and last-plus-one row of pieces that stand one after the other."""
     ends = np.cumsum(sizes)
     return np.column_stack([np.concatenate([[0], ends[:-1]]), ends]).astype(np.int64)
-
-
-def sample_rows(runs: IntArray, fine_runs: IntArray, every: int) -> IntArray:
-    """Return the row of the fine grid of each sample."""
-    starts = zip(fine_runs[:, 0], runs, strict=True)
-    return np.concatenate([at + every * np.arange(stop - first) for at, (first, stop) in starts])

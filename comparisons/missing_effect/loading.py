@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,15 @@ from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_run import has_rakes, window_of
 from classic_ml.whole_run import check_rates
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, edges, sample_rows
+from comparisons.missing_effect.lag_data import (
+    LATER,
+    OTHER,
+    TRAIN,
+    FrozenReferences,
+    LagData,
+    Run,
+    laid_out,
+)
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
@@ -112,52 +120,23 @@ def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordRe
     """Return the rows of free runs: all that flow forward, of both branches, are scored."""
     found = [_whole_runs(*both) for both in zip(records, readings, strict=True)]
     widths = [runs[0].nuisance.shape[1] - 2 for runs, _ in found]
-    first = np.concatenate([[0], np.cumsum(widths)])
     # The unstalled branch is each record's own, the loss in reversed flow that of the machine.
     pieces = []
-    for (runs, amplitudes), start, width in zip(found, first, widths, strict=False):
+    for i, (runs, amplitudes) in enumerate(found):
+        beside = (sum(widths[:i]), sum(widths[i + 1 :]))
         laid = []
         for run in runs:
-            own = np.zeros((run.nuisance.shape[0], first[-1] + 2))
-            own[:, start : start + width], own[:, -2:] = run.nuisance[:, :-2], run.nuisance[:, -2:]
-            laid.append(replace(run, nuisance=own))
+            own, shared = np.split(run.nuisance, [-2], axis=1)
+            nuisance = np.column_stack([np.pad(own, ((0, 0), beside)), shared])
+            laid.append(replace(run, nuisance=nuisance))
         pieces.append((laid, amplitudes))
     passes, average_s = readings[0].passes, readings[0].spec.average_s
     sources = [record.source for record in records]
     return _joined(pieces, sources, _every(readings[0]), passes.sample_period_s, average_s)
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run: signals and nuisances on the fine grid, the coefficient and weights at samples."""
-
-    signals: Mapping[str, FloatArray]
-    nuisance: FloatArray
-    measured: FloatArray
-    weight: FloatArray
-
-
 # The runs of a record, and the mean amplitude of φ with its ends prolonged and as they stand.
 _Piece: TypeAlias = tuple[list[Run], tuple[float, float]]
-
-
-def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:
-    """Return the fields of `LagData` that runs make, one after the other."""
-    names = [n for n in runs[0].signals if all(n in run.signals for run in runs)]
-    measured, fine = (edges(sizes) for sizes in _sizes(runs))
-    return {
-        "signals": {name: np.concatenate([run.signals[name] for run in runs]) for name in names},
-        "nuisance": np.concatenate([run.nuisance for run in runs]),
-        "measured": np.concatenate([run.measured for run in runs]),
-        "weight": np.concatenate([run.weight for run in runs]),
-        "rows": sample_rows(measured, fine, every),
-        "runs": measured,
-        "fine_runs": fine,
-    }
-
-
-def _sizes(runs: Sequence[Run]) -> tuple[list[int], list[int]]:
-    return [run.measured.size for run in runs], [run.nuisance.shape[0] for run in runs]
 
 
 def _segments(record: CoefficientSeries) -> _Piece:
@@ -270,7 +249,7 @@ def _joined(
 ) -> LagData:
     made = laid_out([run for runs, _ in pieces for run in runs], every)
     signals, weight, nuisance = made["signals"], made["weight"], made["nuisance"]
-    sizes = [sum(_sizes(runs)[0]) for runs, _ in pieces]
+    sizes = [sum(run.measured.size for run in runs) for runs, _ in pieces]
     record = np.repeat(np.arange(len(pieces)), sizes)
     moving = np.ptp(nuisance, axis=0) > 1e-9
     part = _parts(record, weight, len(pieces))
@@ -284,11 +263,13 @@ def _joined(
         step_s=step_s,
         every=every,
         average_s=average_s,
-        mean_amplitude=amplitude,
-        mean_amplitude_as_is=as_is,
-        mean_speed=float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
-        phi_range=(float(fitted.min()), float(fitted.max())),
-        origin_s=_clock_zero_s(clock),
+        references=FrozenReferences(
+            amplitude,
+            as_is,
+            float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
+            (float(fitted.min()), float(fitted.max())),
+            _clock_zero_s(clock),
+        ),
         middle_s=0.5 * float(clock[0] + clock[-1]),
         surge_s=_surge_s(signals["phi"], made["fine_runs"], step_s),
         psi_levels=tuple(np.quantile(made["measured"][weight > 0.0], PSI_SHARES).tolist()),

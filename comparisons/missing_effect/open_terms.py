@@ -48,12 +48,12 @@ _DRIVEN: dict[str, Function] = {
     "phi*psi": lambda d, p, s, e: p * s,
     "phi*psi^2": lambda d, p, s, e: p * s * s,
     "phi^2*psi": lambda d, p, s, e: p * p * s,
-    "A*phi": lambda d, p, s, e: (d["amplitude"] - d.mean_amplitude) * p,
+    "A*phi": lambda d, p, s, e: (d["amplitude"] - d.references.mean_amplitude) * p,
     "A": lambda d, p, s, e: d["amplitude"],
     "t*phi": lambda d, p, s, e: (d["time_s"] - d.middle_s) * p,
     "t*e": lambda d, p, s, e: (d["time_s"] - d.middle_s) * e,
-    "n*phi": lambda d, p, s, e: (d["Nc_frac"] - d.mean_speed) * p,
-    "n*e": lambda d, p, s, e: (d["Nc_frac"] - d.mean_speed) * e,
+    "n*phi": lambda d, p, s, e: (d["Nc_frac"] - d.references.mean_speed) * p,
+    "n*e": lambda d, p, s, e: (d["Nc_frac"] - d.references.mean_speed) * e,
 }
 _ADDED: dict[str, Function] = {
     "high psi at the output": lambda d, p, s, e: _above(s, d.psi_levels[1]),
@@ -76,9 +76,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     """
     ports = fit.structure.ports(data, fit.nonlinear)
     q = ports.driven.shape[1]
-    target = ports.driven @ fit.coefficients[:q]
-    if ports.gain is not None:
-        target = target * ports.gain
+    target = ports.driven @ fit.coefficients[:q] * ports.gain
     state = _slow(target, data, fit.tau_s)
     return data.with_signal("state", state).with_signal("relaxation", target - state)
 

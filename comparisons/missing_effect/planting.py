@@ -108,7 +108,7 @@ class Planter:
         if effect.name == "hysteresis":
             return np.quantile(self._phi, BRANCH_QUANTILES)
         if effect.name == "characteristic_shape":
-            return np.array([float(BUMP_INTERVALS), *self.data.phi_range])
+            return np.array([float(BUMP_INTERVALS), *self.data.references.phi_range])
         if effect.episodes:
             frequency_hz = RIPPLE_SHARE / self.data.sample_period_s
             return np.array([frequency_hz, float(np.median(self._phi))])
@@ -184,11 +184,11 @@ class Planter:
     @cached_property
     def _bump(self) -> FloatArray:
         """Coefficients of the splines for a bump in the middle of the range, of height 1."""
-        low, high = self.data.phi_range
+        low, high = self.data.references.phi_range
         grid = np.linspace(low, high, 400)
         bump = np.exp(-0.5 * ((grid - 0.5 * (low + high)) / (BUMP_WIDTH * (high - low))) ** 2)
         n_base = n_powers(self.fit.structure.terms)
-        columns = shape_columns(grid, self.data.phi_range, BUMP_INTERVALS, n_base)
+        columns = shape_columns(grid, self.data.references.phi_range, BUMP_INTERVALS, n_base)
         found = np.linalg.lstsq(columns, bump, rcond=None)[0]
         return np.asarray(found / np.max(np.abs(columns @ found)))
 

@@ -25,35 +25,35 @@ class Ports:
         Inputs of the lag, one a linear coefficient; the terms of the characteristic first.
     names : tuple of str
         Their names.
-    gain : ndarray of shape (N,), optional
-        Factor of the whole characteristic.
-    tau_factor : ndarray of shape (N,), optional
-        Factor of τ over the step that ends at each row.
-    a2_s2 : float
-        a₂ of the second-order lag, in s²; 0 for the first-order one.
-    out_gain : ndarray of shape (n,), optional
-        Factor of the lag's output at the samples.
     added : ndarray of shape (n, p)
         What is added behind the lag, one a linear coefficient.
     added_names : tuple of str
         Their names.
+    gain : ndarray of shape (N,), or 1
+        Factor of the whole characteristic.
+    tau_factor : ndarray of shape (N,), or 1
+        Factor of τ over the step that ends at each row.
+    a2_s2 : float
+        a₂ of the second-order lag, in s²; 0 for the first-order one.
+    out_gain : ndarray of shape (n,), or 1
+        Factor of the lag's output at the samples.
+    known : ndarray of shape (n,), or 0
+        What is added at the samples without a coefficient.
     n_powers : int
         Powers of φ, from the constant on without a gap, among the base terms.
-    known : ndarray of shape (n,), optional
-        What is added at the samples without a coefficient.
     """
 
     phi: FloatArray
     driven: FloatArray
     names: tuple[str, ...]
-    gain: FloatArray | None = None
-    tau_factor: FloatArray | None = None
-    a2_s2: float = 0.0
-    out_gain: FloatArray | None = None
-    added: FloatArray | None = None
+    added: FloatArray
     added_names: tuple[str, ...] = ()
+    gain: FloatArray | float = 1.0
+    tau_factor: FloatArray | float = 1.0
+    a2_s2: float = 0.0
+    out_gain: FloatArray | float = 1.0
+    known: FloatArray | float = 0.0
     n_powers: int = 0
-    known: FloatArray | None = None
 
     @classmethod
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
@@ -61,7 +61,8 @@ class Ports:
         names = tuple(terms)
         known = phi is data.signals["phi"]
         columns = data.terms_of_phi(names) if known else evaluate_terms(list(names), phi)
-        return cls(phi, columns, names, n_powers=n_powers(names))
+        nothing = np.zeros((data.n_samples, 0))
+        return cls(phi, columns, names, nothing, n_powers=n_powers(names))
 
     def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more inputs of the lag."""
@@ -69,40 +70,17 @@ class Ports:
             self, driven=np.column_stack([self.driven, columns]), names=(*self.names, *names)
         )
 
-    def with_known(self, values: FloatArray) -> Ports:
-        """Return the ports with more that is added without a coefficient."""
-        return replace(self, known=values if self.known is None else self.known + values)
-
     def with_added(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more columns behind the lag."""
-        both = columns if self.added is None else np.column_stack([self.added, columns])
+        both = np.column_stack([self.added, columns])
         return replace(self, added=both, added_names=(*self.added_names, *names))
-
-    def with_gain(self, factor: FloatArray) -> Ports:
-        """Return the ports with one more factor of the characteristic."""
-        return replace(self, gain=factor if self.gain is None else self.gain * factor)
-
-    def with_out_gain(self, factor: FloatArray) -> Ports:
-        """Return the ports with one more factor of the output."""
-        return replace(self, out_gain=factor if self.out_gain is None else self.out_gain * factor)
-
-    def with_tau_factor(self, factor: FloatArray) -> Ports:
-        """Return the ports with one more factor of τ."""
-        both = factor if self.tau_factor is None else self.tau_factor * factor
-        return replace(self, tau_factor=both)
 
     def contracted(self, coefficients: FloatArray) -> Ports:
         """Return the ports with all columns of one side joined by their coefficients."""
         q = self.driven.shape[1]
-        k = coefficients.size - q - (0 if self.added is None else self.added.shape[1])
-        added = None if self.added is None else self.added @ coefficients[q + k :, None]
-        return replace(
-            self,
-            driven=self.driven @ coefficients[:q, None],
-            names=("",),
-            added=added,
-            added_names=() if added is None else ("",),
-        )
+        behind = coefficients[coefficients.size - self.added.shape[1] :, None]
+        driven, added = self.driven @ coefficients[:q, None], self.added @ behind
+        return replace(self, driven=driven, names=("",), added=added, added_names=("",))
 
 
 def n_powers(terms: Sequence[str]) -> int:
@@ -131,25 +109,19 @@ def respond(
     driven = ports.driven
     if "stalled" in data:
         driven = driven * data["stalled"][:, None]
-    if ports.gain is not None:
-        driven = driven * ports.gain[:, None]
-    driven = data.averaged(driven)
+    driven = data.averaged(driven * np.reshape(ports.gain, (-1, 1)))
     extra = data.nuisance if nuisance is None else nuisance
     if extra.shape[1]:
         driven = np.column_stack([driven, extra])
     columns = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
-    if ports.out_gain is not None:
-        columns = columns * ports.out_gain[:, None]
-    if ports.added is not None:
-        columns = np.column_stack([columns, ports.added])
-    known = 0.0 if ports.known is None else ports.known
-    return Response(columns, np.exp(-ages(ports, data, tau_s)), known)
+    columns = np.column_stack([columns * np.reshape(ports.out_gain, (-1, 1)), ports.added])
+    return Response(columns, np.exp(-ages(ports, data, tau_s)), ports.known)
 
 
 def ages(ports: Ports, data: LagData, tau_s: float) -> FloatArray:
     """Return the time since the start of its run, at each sample, in (slower) time constants."""
     slow_s, _, turn = lag_times(tau_s, ports.a2_s2)
-    if ports.tau_factor is None or turn > 0.0:
+    if isinstance(ports.tau_factor, float) or turn > 0.0:
         return np.asarray(data.steps_of_run[data.rows] * (data.step_s / slow_s))
     ratio = data.step_s / (slow_s * ports.tau_factor)
     passed = [np.cumsum(np.append(0.0, ratio[start + 1 : stop])) for start, stop in data.fine_runs]
@@ -180,7 +152,7 @@ def _lagged(driven: FloatArray, ports: Ports, data: LagData, tau_s: float) -> Fl
         start = np.repeat(behind, np.diff(runs, axis=1)[:, 0], axis=0)
         driven = lag_pass(driven, fast_s, step_s, runs)
         driven = driven - start * np.exp(-data.steps_of_run * (step_s / fast_s))[:, None]
-    if ports.tau_factor is None:
+    if isinstance(ports.tau_factor, float):
         return lag_pass(driven, slow_s, step_s, runs, data.every)
     ratio = step_s / (slow_s * ports.tau_factor)
     a, mean = np.exp(-ratio), -np.expm1(-ratio) / ratio

@@ -12,7 +12,7 @@ from comparisons.missing_effect.catalogue.workings import HIGHEST_SHARE, stall_e
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Candidate
-from comparisons.missing_effect.fit import Fit, Solution, fit_structure, free_slopes, solved
+from comparisons.missing_effect.fit import Fit, Solution, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.ports import Ports, respond
@@ -67,8 +67,8 @@ class Prober:
         self.fit, self.data, self.metric = fit, data, metric
         self.solution: Solution = solved(fit.structure, data, metric, fit.nonlinear)
         self.ports = fit.structure.ports(data, fit.nonlinear)
-        seen = free_slopes(fit.structure, data, metric, fit.nonlinear, self.solution)
-        self.basis = np.column_stack([self.solution.basis, orthonormal(seen)])
+        slopes = orthonormal(self.solution.free_slopes())
+        self.basis = np.column_stack([self.solution.basis, slopes])
         self.errors = self.solution.errors
         self._here = self._answer(self.ports)
 
@@ -119,18 +119,20 @@ class Prober:
         if effect.port == "input":
             raise ValueError("an effect at the input has no column of its own")
         q = self.ports.driven.shape[1]
-        p = 0 if self.ports.added is None else self.ports.added.shape[1]
+        p = self.ports.added.shape[1]
         driven, added, owner = [], [], []
         for i, start in enumerate(starts):
             after = effect.acts(self.ports, self.data, start)
             if after.driven.shape[1] > q:
                 driven.append(after.driven[:, q:])
                 owner += [i] * (after.driven.shape[1] - q)
-            elif after.added is not None and after.added.shape[1] > p:
+            elif after.added.shape[1] > p:
                 added.append((i, after.added[:, p:]))
         groups: list[list[FloatArray]] = [[] for _ in starts]
         if driven:
-            ports = replace(self.ports, driven=np.column_stack(driven), added=None)
+            ports = replace(
+                self.ports, driven=np.column_stack(driven), added=self.ports.added[:, :0]
+            )
             answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0]).columns
             for column, i in enumerate(owner):
                 groups[i].append(answer[:, column])

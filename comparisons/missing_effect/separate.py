@@ -12,11 +12,9 @@ from comparisons.missing_effect.candidates import refitted_on
 from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
-from comparisons.missing_effect.extended_parts import FrozenReferences
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.lag_data import TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import Run, laid_out
 from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
@@ -260,15 +258,13 @@ class _Rivals:
     fits: Mapping[str, Fit]
     without: Fit
     data: LagData
-    references: FrozenReferences
     metric: Metric
 
     @classmethod
     def of(cls, diagnosis: LagDiagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
         metric, after = diagnosis.rounds[-1].bench.metric, diagnosis.after
-        references = FrozenReferences.of(diagnosis.data)
-        data = references.on(diagnosis.data)
-        data = data.with_parts(np.full(data.n_samples, TRAIN, dtype=np.int8))
+        n_samples = diagnosis.data.n_samples
+        data = diagnosis.data.with_parts(np.full(n_samples, TRAIN, dtype=np.int8))
         effect = next(e for e in after.structure.effects if e.name == winner)
         without = refitted_on(after.without(effect), data, metric)
         prober = Prober(without, data, metric)
@@ -277,7 +273,7 @@ class _Rivals:
             for member in members
         }
         plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
-        return cls(tuple(members), fits, without, data, references, plain)
+        return cls(tuple(members), fits, without, data, plain)
 
     def distances(self, change: Change, rng: np.random.Generator) -> tuple[Distance, ...]:
         """Return how far each rival stays from each truth in an experiment."""
@@ -332,7 +328,7 @@ class _Rivals:
 
     def _simulated(self, fit: Fit, there: LagData, rng: np.random.Generator) -> FloatArray:
         """Return ψ' of a model in an experiment, each effect measured from where it was fitted."""
-        data = replace(there, **self.references.levels)
+        data = replace(there, references=self.data.references)
         groups = fit.groups(self.data)
         for effect in fit.structure.effects:
             if effect.episodes:
@@ -442,9 +438,12 @@ def _with_own_references(data: LagData) -> LagData:
     def mean(name: str, known: float) -> float:
         return float(np.mean(data.sampled(data[name])[data.scored()])) if name in data else known
 
-    return replace(
-        data.over_all_phi(),
-        mean_amplitude=mean("amplitude", data.mean_amplitude),
-        mean_amplitude_as_is=mean("amplitude_as_is", data.mean_amplitude_as_is),
-        mean_speed=mean("Nc_frac", data.mean_speed),
+    data = data.over_all_phi()
+    before = data.references
+    own = replace(
+        before,
+        mean_amplitude=mean("amplitude", before.mean_amplitude),
+        mean_amplitude_as_is=mean("amplitude_as_is", before.mean_amplitude_as_is),
+        mean_speed=mean("Nc_frac", before.mean_speed),
     )
+    return replace(data, references=own)

@@ -26,7 +26,6 @@ from comparisons.missing_effect.whole_runs import (
     Nulls,
     Progress,
     WholeRuns,
-    fitted,
     nulls_of,
     number_of,
     plain_bench,
@@ -128,9 +127,10 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     With it in the twins the null would hold what is looked for: a drift that the model without it
     takes for a τ of a second, say. What is shaped by φ has no part of its own.
     """
-    fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
-    (effect, fit), data = min(fits, key=lambda both: both[1].cost), bench.data
-    added = fit.output(data) - fit.without_amplitude(effect, data).output(data)
+    tried = bench.tried([e for e in effects if e.name not in SHAPED]).candidates
+    best, data = min(tried, key=lambda c: c.fit.cost), bench.data
+    without = best.fit.without_amplitude(best.added[0], data)
+    added = best.fit.output(data) - without.output(data)
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 

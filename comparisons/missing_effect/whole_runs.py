@@ -129,9 +129,6 @@ class Nulls:
     rms: float
 
 
-NO_NULLS = Nulls({}, np.nan)
-
-
 @dataclass(frozen=True)
 class WholeRuns(Bench):
     """Whole runs as the search works on them: all rows fitted, all errors weighed alike.
@@ -142,7 +139,7 @@ class WholeRuns(Bench):
     """
 
     policy: Policy = WHOLE_RUNS
-    nulls: Nulls = NO_NULLS
+    nulls: Nulls = Nulls({}, np.nan)
     named: frozenset[str] = frozenset()
     log_tau: float = float("nan")
 
@@ -275,11 +272,6 @@ def plain_bench(
     return replace(bench, log_tau=log_tau)
 
 
-def fitted(bench: WholeRuns, effects: Sequence[Effect]) -> list[tuple[Effect, Fit]]:
-    """Return the model of a bench with each effect that it can show."""
-    return [(c.added[0], c.fit) for c in bench.tried(effects).candidates]
-
-
 def number_of(effect: Effect, fit: Fit, bench: Bench) -> float:
     """Return the one number by which an effect is judged."""
     if effect.name in SHAPED:
@@ -330,8 +322,8 @@ def nulls_of(
         own = plain_bench(data, others, bench.fit.structure.terms, bench.n_names, bench.block_rows)
         rms.append(rms_left(own))
         return {
-            e.name: (1.0 - fit.cost / own.fit.cost, number_of(e, fit, own))
-            for e, fit in fitted(own, tried)
+            c.name: (1.0 - c.fit.cost / own.fit.cost, number_of(c.added[0], c.fit, own))
+            for c in own.tried(tried).candidates
         }
 
     measured, over_twins = [], []

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from math import comb
 from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.kernels import piecewise_cubics, shifted
+from comparisons.missing_effect.kernels import shifted
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.segments import scored_pieces
@@ -37,7 +36,7 @@ def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
         # are taken back, and not the model put off: what it has in reversed flow would move into
         # the rows that are scored.
         early = shifted(data["exit_Pa"], -values[0] / data.step_s, data.fine_runs)
-        return ports.with_known(data.of_exit(data["exit_Pa"] - early))
+        return replace(ports, known=ports.known + data.of_exit(data["exit_Pa"] - early))
     # Only what is smooth is shifted: noise on φ says nothing about a delay, but its own shift
     # would correlate with what it leaves in the errors.
     smooth = np.ascontiguousarray(data["phi_smooth"])
@@ -49,11 +48,15 @@ def _second_order(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return replace(ports, a2_s2=max(float(values[0]), 0.0))
 
 
+def _with_tau(ports: Ports, factor: FloatArray) -> Ports:
+    factor = np.maximum(factor, LEAST_TAU_SHARE)
+    return replace(ports, tau_factor=ports.tau_factor * factor)
+
+
 def _amplitude_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     name = "amplitude" if values[1] > 0.5 else "amplitude_as_is"
-    mean = data.mean_amplitude if values[1] > 0.5 else data.mean_amplitude_as_is
-    swing = data[name] / mean - 1.0
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * swing, LEAST_TAU_SHARE))
+    swing = data[name] / getattr(data.references, f"mean_{name}") - 1.0
+    return _with_tau(ports, 1.0 + values[0] * swing)
 
 
 def _both_ways(data: LagData) -> FloatArray:
@@ -62,14 +65,14 @@ def _both_ways(data: LagData) -> FloatArray:
 
 
 def _asymmetric(ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * rising(data), LEAST_TAU_SHARE))
+    return _with_tau(ports, 1.0 + values[0] * rising(data))
 
 
 def _flow_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     # Of the measured φ averaged as ψ' was: without cells the same as φ itself.
     phi = data.get("phi_averaged", ports.phi)
     below = _share_below(phi, values[1], data)
-    return ports.with_tau_factor(np.maximum(1.0 + values[0] * below, LEAST_TAU_SHARE))
+    return _with_tau(ports, 1.0 + values[0] * below)
 
 
 def rising(data: LagData) -> FloatArray:
@@ -94,7 +97,7 @@ def _flow_thresholds(data: LagData) -> FloatArray:
 
 def _heated(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     a, time_s = values
-    return ports.with_gain(1.0 - a * (1.0 - np.exp(-clock_s(data) / time_s)))
+    return replace(ports, gain=ports.gain * (1.0 - a * (1.0 - np.exp(-clock_s(data) / time_s))))
 
 
 def _heating_times(data: LagData) -> FloatArray:
@@ -104,12 +107,12 @@ def _heating_times(data: LagData) -> FloatArray:
 
 def clock_s(data: LagData) -> FloatArray:
     """Return the facility clock from its zero on."""
-    return np.asarray(data["time_s"] - data.origin_s)
+    return np.asarray(data["time_s"] - data.references.clock_zero_s)
 
 
 def _drooped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     speed = data["Nc_frac"]
-    return ports.with_gain((speed / data.mean_speed) ** values[0])
+    return replace(ports, gain=ports.gain * (speed / data.references.mean_speed) ** values[0])
 
 
 def _branched(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -179,7 +182,8 @@ def shape_columns(
         powers = [at**k for k in range(n_base, n_base + MORE_POWERS)]
         return np.column_stack(powers) @ _more_powers(n_base)
     at = np.clip(at, 0.0, 1.0)
-    return np.asarray(piecewise_cubics(np.ascontiguousarray(at), _cubics(intervals, n_base)))
+    splines, held = _splines(intervals, n_base)
+    return np.asarray(splines(at) - np.vander(at, len(held), increasing=True) @ held)
 
 
 @lru_cache(maxsize=8)
@@ -196,12 +200,12 @@ def _more_powers(n_base: int) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def _cubics(intervals: int, n_base: int) -> FloatArray:
-    """Return the cubics of each column in each interval, of shape (intervals, 4, columns).
+def _splines(intervals: int, n_base: int) -> tuple[Any, FloatArray]:
+    """Return splines, orthonormal over the range once the powers of the base are taken off them.
 
-    The columns are orthonormal over the range and free of the powers that the base has.
+    Beside them: how much of each power, a row each, to take off each column.
     """
-    from scipy.interpolate import BSpline, PPoly
+    from scipy.interpolate import BSpline
 
     knots = np.concatenate([np.zeros(3), np.arange(intervals + 1) / intervals, np.ones(3)])
     at = np.linspace(0.0, 1.0, 40 * intervals + 1)
@@ -212,27 +216,16 @@ def _cubics(intervals: int, n_base: int) -> FloatArray:
     _, size, right = np.linalg.svd(raw - powers @ onto, full_matrices=False)
     n_own = intervals + 3 - n_powers
     mix = right[:n_own].T / size[:n_own] * np.sqrt(at.size)
-    pieces = np.zeros((intervals, 4, n_own))
-    for column in range(n_own):
-        spline = PPoly.from_spline((knots, np.ascontiguousarray(mix[:, column]), 3))
-        # Rows of PPoly run from the cube down; the clamped knots at both ends have no width.
-        pieces[:, :, column] = spline.c[::-1, 3 : 3 + intervals].T
-    less = onto @ mix
-    for i in range(intervals):
-        for power in range(n_powers):
-            # The power of the base, written about the left end of the interval.
-            for k in range(power + 1):
-                pieces[i, k] -= comb(power, k) * (i / intervals) ** (power - k) * less[power]
-    return np.ascontiguousarray(pieces)
+    return BSpline(knots, mix, 3), onto @ mix
 
 
 def _interval_grid(data: LagData) -> FloatArray:
-    return np.array([(count, *data.phi_range) for count in INTERVALS])
+    return np.array([(count, *data.references.phi_range) for count in INTERVALS])
 
 
 def _over_the_range(data: LagData, values: FloatArray) -> FloatArray:
     """Lay the knots over the φ of what is fitted now: more rows may reach further."""
-    return np.array([values[0], *data.phi_range])
+    return np.array([values[0], *data.references.phi_range])
 
 
 def _inertia(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -242,15 +235,16 @@ def _inertia(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def _thermocouple(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     temperature = data.sampled(data["T25_K"])
     rate = data.sampled(data["dT25_K_s"])
-    return ports.with_out_gain(
-        temperature / np.maximum(temperature + values[0] * rate, 0.2 * temperature)
-    )
+    read = temperature / np.maximum(temperature + values[0] * rate, 0.2 * temperature)
+    return replace(ports, out_gain=ports.out_gain * read)
 
 
 def _sensitivity(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     if "exit_Pa" in data:
-        return ports.with_known(data.of_exit(values[0] * clock_s(data) * data["exit_Pa"]))
-    return ports.with_out_gain(1.0 + values[0] * data.sampled(clock_s(data)))
+        drifted = data.of_exit(values[0] * clock_s(data) * data["exit_Pa"])
+        return replace(ports, known=ports.known + drifted)
+    drifted = 1.0 + values[0] * data.sampled(clock_s(data))
+    return replace(ports, out_gain=ports.out_gain * drifted)
 
 
 def _bias(ports: Ports, data: LagData, values: FloatArray) -> Ports:
