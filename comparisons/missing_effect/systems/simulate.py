@@ -15,14 +15,13 @@ from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 
 from comparisons.missing_effect.systems.dynamics import (
     PLAY_SAMPLES,
-    SLOTS,
     System,
-    extended_output,
-    extended_rhs,
+    along,
+    extended,
     scratch_for,
 )
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
+from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind, map_value
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
@@ -39,6 +38,8 @@ LONGEST_STEP = 3.0
 # Steps a point, beyond which a run is given up.
 MOST_STEPS = 50
 MOST_MEGABYTES = 4000
+# Parts of what the integrator hands on.
+PARTS = 7
 # What a black box that fails for some parameters may raise.
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
@@ -94,15 +95,15 @@ def path_of(
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
     bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
     system = run.system(structure, theta)
-    packed = np.concatenate([run.clock, bound, theta, system[2]])
     tolerances = structure.tolerance, structure.tolerance * np.asarray(scale, dtype=np.float64)
     states = None
     for method in METHODS if np.all(np.isfinite(start)) else ():
-        states = _integrated(method, times, start, packed, tolerances, system)
+        states = _integrated(method, times, start, bound, tolerances, system)
         if states is not None:
             break
     if states is not None:
-        outputs = structure.recorded(outputs_along(states, system), theta)
+        seen = along(states[::FINE].copy(), np.zeros(0), system, 1)[1]
+        outputs = structure.recorded(seen, theta)
         if np.all(np.isfinite(outputs)):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
@@ -137,38 +138,27 @@ def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
     return np.concatenate(out)
 
 
-@njit(cache=True, error_model="numpy")
-def outputs_along(states: FloatArray, system: System) -> FloatArray:
-    """Return the outputs at the samples of a run on the fine grid, shape (n, n_y)."""
-    n = (states.shape[0] - 1) // FINE + 1
-    out, scratch = np.empty((n, system[1][5])), scratch_for(system[1])
-    for k in range(n):
-        extended_output(k * system[4][1], states[FINE * k], system, out[k], scratch)
-    return out
-
-
-@cfunc(types.void(NUMBERS, types.float64, NUMBERS, INTEGERS), cache=True)
+@cfunc(types.void(NUMBERS, types.float64, NUMBERS, NUMBERS), cache=True)
 def _slope(out: Any, t: float, state: Any, given: Any) -> None:
-    """Fill dX/dt; not a number where the state has run away, so that the integrator gives up."""
-    n = given[0]
-    ints = carray(integers_at(given[1]), (given[2],))
-    packed = carray(numbers_at(given[3]), (given[4],))
-    pieces = carray(numbers_at(given[5]), (given[6], given[7], 4))
-    X = carray(state, (n,))
-    gone = False
-    for i in range(n):
-        if not abs(X[i]) <= packed[4 + i]:
-            gone = True
-    if gone:
-        for i in range(n):
-            out[i] = np.nan
-        return
-    at = 4 + n
-    n_theta = ints[4] + ints[3] + SLOTS * ints[7]
-    theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
-    scratch = carray(numbers_at(given[8]), (given[9],))
-    dX = carray(out, (n,))
-    extended_rhs(t, X, (theta, ints, floats, pieces, packed[:4]), dX, scratch)
+    """Fill dX/dt; not a number where the state has run away, so that the integrator gives up.
+
+    Given are the ends of the parts behind them: bounds of the states, what makes up the system,
+    and working space.
+    """
+    ends = carray(given, (PARTS,))
+    whole = carray(given, (int(ends[PARTS - 1]),))
+    bound, theta = whole[PARTS : int(ends[0])], whole[int(ends[0]) : int(ends[1])]
+    ints = whole[int(ends[1]) : int(ends[2])].view(np.int64)
+    floats, clock = whole[int(ends[2]) : int(ends[3])], whole[int(ends[3]) : int(ends[4])]
+    pieces = whole[int(ends[4]) : int(ends[5])]
+    laid = pieces.reshape((ints[3], pieces.size // max(4 * ints[3], 1), 4))
+    X, dX = carray(state, (bound.size,)), carray(out, (bound.size,))
+    for i in range(bound.size):
+        if not abs(X[i]) <= bound[i]:
+            dX[:] = np.nan
+            return
+    scratch = whole[int(ends[5]) :]
+    extended(t, X, (theta, ints, floats, laid, clock), False, dX, scratch)
 
 
 def _at(array: Any) -> tuple[int, int]:
@@ -179,22 +169,20 @@ def _integrated(
     method: str,
     times: FloatArray,
     start: FloatArray,
-    packed: FloatArray,
+    bound: FloatArray,
     tolerances: tuple[float, FloatArray],
     system: System,
 ) -> FloatArray | None:
     """Return the states at evenly spaced times, or None where a method gives up."""
     from CyRK.nb import numba_solver as cyrk
 
-    # The callback gets one block of bytes: the addresses of everything else.
-    _, ints, _, pieces, _ = system
-    scratch = scratch_for(ints)
-    sizes = pieces.shape[:2]
-    where = [*_at(ints), *_at(packed), pieces.ctypes.data, *sizes, *_at(scratch)]
-    given = np.array([start.size, *where], dtype=np.int64)
+    theta, ints, floats, pieces, clock = system
+    parts = [bound, theta, ints.view(np.float64), floats, clock, pieces.ravel(), scratch_for(ints)]
+    ends = PARTS + np.cumsum([part.size for part in parts], dtype=np.float64)
+    # The integrator takes a copy of it.
+    given = np.concatenate([ends, *parts])
     begun = np.array(start, dtype=np.float64)
     relative, absolute = np.array(tolerances[:1]), tolerances[1]
-    step_s = float(times[1] - times[0])
     result = cyrk.c_numba_cysolve_ivp(
         _slope.address,
         float(times[0]),
@@ -211,7 +199,7 @@ def _integrated(
         *(0, 0, 0),
         *_at(relative),
         *_at(absolute),
-        LONGEST_STEP * step_s,
+        LONGEST_STEP * float(times[1] - times[0]),
         0.0,
         True,
     )
