@@ -7,6 +7,7 @@ method tries.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from comparisons.missing_effect.systems.dynamics import (
     extended,
     scratch_for,
 )
-from comparisons.missing_effect.systems.places import Placed
+from comparisons.missing_effect.systems.places import AT_INPUTS, Placed
 from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind, map_value
 from comparisons.missing_effect.systems.structure import Run, Structure
@@ -220,7 +221,6 @@ def _black_box_outputs(
     """Return the outputs of a black box, not a number where it failed, from its record's start."""
     from scipy.interpolate import CubicSpline
 
-    model = structure.model
     effects = [(placed, theta[structure.slots_of(placed)]) for placed in structure.effects]
     inputs = _inputs(structure, run, theta, effects)
     drifts = [
@@ -231,25 +231,23 @@ def _black_box_outputs(
     t = run.sample_period_s * np.arange(run.n_samples, dtype=np.float64)
     # A drift is slow: at each time the outputs are those of a run with the parameters as they are
     # then, between three runs.
-    outputs = np.zeros(run.outputs.shape)
-    along: FloatArray = (t + run.clock[0] - run.clock[2]) / run.clock[3]
-    for node in (-1.0, 0.0, 1.0) if drifts else (0.0,):
-        p = theta[: len(model.params)].copy()
+    outputs, nodes = np.zeros(run.outputs.shape), (-1.0, 0.0, 1.0) if drifts else (0.0,)
+    along = (t + run.clock[0] - run.clock[2]) / run.clock[3]
+    for node in nodes:
+        p = theta[: len(structure.model.params)].copy()
         for at, rate in drifts:
             p[at] += rate * node
-        share: FloatArray = np.ones(t.size)
-        for other in (-1.0, 0.0, 1.0) if drifts else ():
-            if other != node:
-                share = share * (along - other) / (node - other)
+        between = ((along - other) / (node - other) for other in nodes if other != node)
+        share = math.prod(between, start=np.ones(t.size))
         outputs += share[:, None] * _simulated(structure, t, inputs, p, start)
+    rows = np.arange(t.size, dtype=np.float64)
     for placed, slots in effects:
         j = placed.place.at
         if placed.effect.kind == Kind.OUTPUT_MAP:
-            outputs[:, j] = _mapped(placed, outputs[:, j], slots)
+            outputs[:, j] = _behind(placed, slots, outputs[:, j])
         elif placed.effect.kind == Kind.OUTPUT_LAG and np.all(np.isfinite(outputs)):
-            rows = np.arange(t.size, dtype=np.float64)
             finer = CubicSpline(rows, outputs[:, j])(np.arange(FINE * (t.size - 1) + 1) / FINE)
-            outputs[:, j] = _lagged(finer, FINE * float(slots[0]))[::FINE]
+            outputs[:, j] = _behind(placed, slots, finer)[::FINE]
     return outputs
 
 
@@ -290,37 +288,33 @@ def _inputs(
     out = np.empty((len(structure.model.inputs), times.size))
     per_sample = 4 if structure.between == "band" else 1
     for j in range(out.shape[0]):
-        late = float(theta[len(structure.model.params) + j]) + sum(
-            float(slots[0])
+        own = [
+            (placed, slots)
             for placed, slots in effects
-            if placed.effect.kind == Kind.INPUT_DELAY and placed.place.at == j
+            if placed.effect.kind in AT_INPUTS and placed.place.at == j
+        ]
+        late = float(theta[structure.offsets][j]) + sum(
+            float(slots[0]) for placed, slots in own if placed.effect.kind == Kind.INPUT_DELAY
         )
         at = (times - late) * per_sample
         i = np.clip(np.floor(at).astype(np.int64), 0, pieces.shape[1] - 1)
         s = np.clip(at - i, 0.0, 1.0)
         c = pieces[j, i].T
         out[j] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-    for placed, slots in effects:
-        j, kind = placed.place.at, placed.effect.kind
-        if kind == Kind.INPUT_MAP:
-            out[j] = _mapped(placed, out[j], slots)
-        elif kind == Kind.INPUT_LAG:
-            out[j] = _lagged(out[j], FINE * float(slots[0]))
-        elif kind == Kind.INPUT_PLAY:
-            out[j] = _followed(out[j], float(slots[0]) * placed.scales[1])
+        for placed, slots in own:
+            out[j] = _behind(placed, slots, out[j])
     return out[:, ::FINE]
 
 
-def _mapped(placed: Placed, values: FloatArray, slots: FloatArray) -> FloatArray:
-    return _all_mapped(placed.effect.code, values, placed.scales[1], float(slots[0]))
-
-
-@njit(cache=True, error_model="numpy")
-def _all_mapped(code: int, values: FloatArray, scale: float, a: float) -> FloatArray:
-    out = np.empty(values.size)
-    for k in range(values.size):
-        out[k] = map_value(code, values[k], scale, a)
-    return out
+def _behind(placed: Placed, slots: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what goes through an effect at a channel; lags and plays are on the fine grid."""
+    kind, own, a = placed.effect.kind, placed.scales[1], float(slots[0])
+    if kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP):
+        code = placed.effect.code
+        return np.array([map_value(code, value, own, a) for value in values.tolist()])
+    if kind in (Kind.INPUT_LAG, Kind.OUTPUT_LAG):
+        return _lagged(values, FINE * a)
+    return _followed(values, a * own) if kind == Kind.INPUT_PLAY else values
 
 
 @njit(cache=True, error_model="numpy")
