@@ -53,15 +53,7 @@ call_at: Any = intrinsic(_call_at)
 def compiled(model: Model) -> tuple[Any, Any]:
     """Return right-hand side and output compiled, each with its address; a model is compiled once.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Raises
-    ------
-    InputError
-        When a function uses what cannot be compiled.
+    Refused is what cannot be compiled.
     """
     return _function(model, "rhs"), _function(model, "output")
 
@@ -72,20 +64,7 @@ def _expression(model: Model, expression: Expression) -> Any:
 
 
 def expression_address(model: Model, expression: Expression) -> int:
-    """Return where a term of the user's own is, compiled for a model.
-
-    Parameters
-    ----------
-    model : Model
-        The model whose states, inputs and parameters it reads.
-    expression : callable
-        ``expression(model)`` gives it as a function of (t, x, u, p).
-
-    Raises
-    ------
-    InputError
-        When it uses what cannot be compiled.
-    """
+    """Return where a term of the user's own is, compiled for the model whose signals it reads."""
     return int(_expression(model, expression).address)
 
 

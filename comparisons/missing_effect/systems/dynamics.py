@@ -162,18 +162,8 @@ def extended(
 ) -> None:
     """Fill dX with dX/dt of the extended system and, where asked, its outputs in the scratch.
 
-    Parameters
-    ----------
-    t : float
-        Seconds since the run's first sample.
-    X, dX : ndarray of shape (n_x + n_own,)
-        State, and its slope.
-    system : System
-        θ, layout, inputs, clock.
-    reads : bool
-        Whether the outputs are asked for.
-    scratch : ndarray
-        From `scratch_for`: this is called millions of times, and must make no arrays.
+    The time is in seconds since the run's first sample. The scratch comes from `scratch_for`: this
+    is called millions of times, and must make no arrays.
     """
     theta, ints, floats, _, clock = system
     n_eff, at = ints[7], ints[4] + ints[3]
@@ -216,12 +206,8 @@ def along(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the slopes of a system along a run, and its outputs at the samples.
 
-    Parameters
-    ----------
-    states : ndarray of shape (m, n)
-        The run, on so many points a sample as ``fine`` says.
-    begun : ndarray of shape (0,) or (1,)
-        Where the state of an effect begins that the run has not; it goes on beside the run.
+    The run has as many points a sample as ``fine`` says. Begun holds where the state of an effect
+    begins that the run has not, if any: it goes on beside the run.
     """
     theta, ints, clock = system[0], system[1], system[4]
     (m, n), n_y, step_s = states.shape, ints[5], clock[1] / fine

@@ -116,28 +116,11 @@ def fit_runs(
     rows: int | None = None,
     most: int = MOST_ITERATIONS,
 ) -> Fit:
-    """Fit a structure to runs.
+    """Fit a structure to runs, from numbers and from the state of the model at each run's start.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    runs : sequence of Run
-        What is fitted.
-    metric : Metric
-        Colour of the errors; their sizes are fitted.
-    theta : ndarray
-        Where to begin.
-    starts : sequence of ndarray
-        State of the model at the start of each run, where to begin.
-    scale : ndarray, optional
-        Size of each state.
-    only_starts : bool
-        Whether θ stays as it is.
-    rows : int, optional
-        Score so many rows of each run alone.
-    most : int
-        Most iterations.
+    The metric gives the colour of the errors, whose sizes are fitted; ``scale`` is the size of
+    each state, where it is known. With ``only_starts`` the numbers stay as they are; ``rows`` of
+    each run are scored, all without it; ``most`` counts the iterations.
     """
     search = _Search(structure, tuple(runs), metric, only_starts, rows)
     begun = tuple(own_starts(structure, run, x0) for run, x0 in zip(runs, starts, strict=True))

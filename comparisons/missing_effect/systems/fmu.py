@@ -35,27 +35,9 @@ Names = Sequence[str] | Mapping[str, str]
 def unit_parts(
     path: str | os.PathLike[str], inputs: Names, outputs: Names, params: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what a model is made of: units of its signals, starts of its parameters, functions.
+    """Return what the model of a unit is made of: units of its signals, functions, name.
 
-    Parameters
-    ----------
-    path : str or path
-        A unit for model exchange, of FMI 2 or 3.
-    inputs, outputs : sequence of str, or mapping of str to str
-        Variables of the unit, or what they are called in the records and in the unit.
-    params : sequence of str
-        Variables of the unit that are fitted.
-
-    Returns
-    -------
-    dict
-        ``states``, ``inputs``, ``outputs`` (name: unit), ``x0`` (name: value), ``params``
-        (name: (start, low, high, unit)), ``rhs``, ``output`` and ``name``.
-
-    Raises
-    ------
-    InputError
-        When it is no such unit, has events, or lacks a variable.
+    ``params`` gives start, bounds and unit of each; see `Model.from_fmu`.
     """
     fmpy = _fmpy()
     file = Path(path)

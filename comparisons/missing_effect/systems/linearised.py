@@ -43,18 +43,7 @@ Answer = tuple[FloatArray, FloatArray]
 class Linearised:
     """A run, and how its outputs answer to small changes.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        Inputs and clock.
-    theta : ndarray
-        Parameters, offsets, effects.
-    path : Path
-        The run there.
-    scale : ndarray of shape (n_X,)
-        Size of each state, for differences.
+    ``path`` is the run at ``theta``, and ``scale`` the size of each state, for differences.
     """
 
     structure: Structure
@@ -100,15 +89,7 @@ class Linearised:
     def to_numbers(self, which: IntArray) -> FloatArray:
         """Return how the outputs answer to numbers of θ, and then to each state at the start.
 
-        Parameters
-        ----------
-        which : ndarray of int, shape (m,)
-            The numbers.
-
-        Returns
-        -------
-        ndarray of shape (n, n_y, m + n_X)
-            Not a number where the run has no reading.
+        Of shape (n, n_y, m + n_X), and not a number where the run has no reading.
         """
         steps, at = self.structure.steps(self.theta)[which], self.structure.recording
         if self.transitions is None:
@@ -132,15 +113,8 @@ class Linearised:
     def to_effects(self, laid: Sequence[Laid]) -> FloatArray:
         """Return how the outputs would answer to each of some effects, to first order.
 
-        Parameters
-        ----------
-        laid : sequence of (Placed, tuple of float)
-            Effects at their places and their numbers; an amplitude is replaced by a small one.
-
-        Returns
-        -------
-        ndarray of shape (n, n_y, effects)
-            Not a number where the run has no reading.
+        They come with their numbers, of which an amplitude is replaced by a small one. Of shape
+        (n, n_y, effects), and not a number where the run has no reading.
         """
         states, black_box = self.path.states, self.transitions is None
         direct = np.zeros((*self.run.outputs.shape, len(laid)))

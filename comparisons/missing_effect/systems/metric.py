@@ -47,13 +47,7 @@ class Metric:
         ]
 
     def scored(self, errors: FloatArray) -> BoolArray:
-        """Return which whitened errors of one run there are, shape (n, n_y).
-
-        Parameters
-        ----------
-        errors : ndarray of shape (n, n_y)
-            Errors, or readings; not a number where there is none.
-        """
+        """Return which whitened errors of one run there are, by its errors or readings."""
         there = ~np.isnan(errors)
         out = there.copy()
         for j, lags in enumerate(self._lags):
@@ -63,12 +57,9 @@ class Metric:
         return out
 
     def whitened(self, errors: FloatArray) -> FloatArray:
-        """Return whitened errors of one run, or columns of a Jacobian.
+        """Return whitened errors of one run, (n, n_y), or columns of a Jacobian behind them.
 
-        Parameters
-        ----------
-        errors : ndarray of shape (n, n_y) or (n, n_y, columns)
-            Where a row has no whitened error it is zero; not a number where a run failed.
+        Where a row has no whitened error it is zero; not a number where a run failed.
         """
         out = np.empty_like(errors)
         for j, (sigma, ar, lags) in enumerate(zip(self.sigma, self.ar, self._lags, strict=True)):

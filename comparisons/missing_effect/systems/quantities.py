@@ -77,18 +77,9 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
 def numbers_of(
     fit: Fit, placed: Placed, cov: FloatArray, clock: FloatArray
 ) -> tuple[FittedParameter, ...]:
-    """Return the numbers of one effect in physical units.
+    """Return the numbers of one effect of a fit in physical units, by the covariance of θ.
 
-    Parameters
-    ----------
-    fit : Fit
-        With the effect.
-    placed : Placed
-        The effect.
-    cov : ndarray
-        Covariance of θ.
-    clock : ndarray of shape (4,)
-        Of a run: sample period, and middle and half length of the records' span.
+    The clock of a run holds the sample period and the half length of the records' span.
     """
     model = fit.structure.model
     at = int(fit.structure.slots_of(placed)[0])

@@ -112,18 +112,9 @@ class Records:
 def runs_of(
     records: Records, experiments: Sequence[Experiment], between: str, *, begun: bool
 ) -> tuple[Run, ...]:
-    """Return stretches as runs.
+    """Return stretches of the training records as runs, inputs laid between samples.
 
-    Parameters
-    ----------
-    records : Records
-        The training records.
-    experiments : sequence of Experiment
-        Some of their stretches.
-    between : str
-        How inputs run between samples.
-    begun : bool
-        Whether they begin where the record does, so that what the model knows of its start holds.
+    Where they begin as the record does (``begun``), what the model knows of its start holds.
     """
     return tuple(
         Run.of(records.model, e, between, records.span, _known_start(records.model, e, begun=begun))
@@ -132,17 +123,9 @@ def runs_of(
 
 
 def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
-    """Return a check record as a run whose unknown starts are as large as in training.
+    """Return a check record as a run whose unknown starts are as large as in the fit in training.
 
-    Parameters
-    ----------
-    records : Records
-        The training records.
-    experiment : Experiment
-        The check record.
-    fit : Fit
-        To the training records: a few samples alone would give a hidden state, or a parameter
-        that is of each record, any value.
+    A few samples alone would give a hidden state, or a parameter that is of each record, any value.
     """
     model = records.model
     mean, sd = _known_start(model, experiment, begun=True)
@@ -174,10 +157,7 @@ def _rows_together(fit: Fit) -> float:
 def _known_start(
     model: Model, experiment: Experiment, *, begun: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is known of the state at the start, and its errors: infinite where nothing is.
-
-    Begun says whether the stretch begins where its record does.
-    """
+    """Return what is known of the state at the start, and its errors: infinite where nothing is."""
     mean, sd = np.zeros(len(model.states)), np.full(len(model.states), np.inf)
     measured = measured_as(model)
     for i, (j, factor) in rates_of(model).items():

@@ -195,16 +195,8 @@ def residuals_of(
 ) -> Residuals:
     """Return the residuals of one output of a run, to be looked at over a signal.
 
-    Parameters
-    ----------
-    check : CheckRun
-        A run, simulated without and with what was added.
-    effects : sequence of MissingEffect
-        What was added: the signal of the first one whose signal is measured is looked at.
-    output : str, optional
-        Name of the output; the first without it.
-    model : Model, optional
-        Knows units, and which states are measured under another name.
+    Of the effects that were added, the signal of the first whose signal is measured is looked at.
+    The model knows units, and which states are measured under another name.
     """
     chosen = output or next(iter(check.outputs))
     column, scored = list(check.outputs).index(chosen), slice(check.settle, None)

@@ -225,13 +225,7 @@ def always(_: FloatArray, __: FloatArray) -> str:
 
 
 def both_signs(signal: FloatArray, _: FloatArray) -> str:
-    """Return why a signal does not change sign, or an empty text.
-
-    Parameters
-    ----------
-    signal : ndarray
-        Over its rms.
-    """
+    """Return why a signal, over its rms, does not change sign, or an empty text."""
     share = min(float(np.mean(signal > SIDE)), float(np.mean(signal < -SIDE)))
     return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
 
@@ -239,13 +233,8 @@ def both_signs(signal: FloatArray, _: FloatArray) -> str:
 def blind_to_sign(simulated: FloatArray, reading: FloatArray) -> str:
     """Return why a sensor cannot be blind to a sign, or an empty text.
 
-    What is read must change its sign, as the model has it, and the reading must not.
-
-    Parameters
-    ----------
-    simulated, reading : ndarray
-        Output of the model, and what was measured, over their rms. Noise may take a few readings
-        below zero.
+    What is read must change its sign, as the model has it, and the reading must not, but for a few
+    that noise takes below zero. Both are over their rms.
     """
     if float(np.mean(reading < -SIDE)) > LEAST_SIDE_SHARE:
         return "needs a reading that stays on one side of zero"

@@ -47,16 +47,9 @@ FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
 @dataclass(frozen=True)
 class Path:
-    """A simulated run.
+    """A simulated run: its states on the fine grid, and its outputs at the samples.
 
-    Parameters
-    ----------
-    states : ndarray of shape (FINE·(n − 1) + 1, n_X)
-        On the fine grid.
-    outputs : ndarray of shape (n, n_y)
-        At the samples; NaN throughout when the run failed.
-    failed : bool
-        Whether the state ran away or the integrator gave up.
+    A run has failed where the state ran away or the integrator gave up: its outputs are NaN.
     """
 
     states: FloatArray
@@ -73,22 +66,10 @@ def path_of(
     *,
     first: bool = False,
 ) -> Path:
-    """Simulate a run.
+    """Simulate a run from its state at the first sample.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        Inputs and clock.
-    theta : ndarray
-        Parameters, offsets, effects.
-    start : ndarray of shape (n_X,)
-        State at the first sample.
-    scale : ndarray of shape (n_X,)
-        Size of each state, for the tolerance.
-    first : bool
-        Whether the sizes are not known yet, so that no state can be said to run away.
+    The scale is the size of each state, for the tolerance; at first it is not known yet, so that
+    no state can be said to run away.
     """
     if structure.model.simulate is not None:
         return black_box_path(structure, run, theta, start)
