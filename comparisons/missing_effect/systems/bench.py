@@ -35,18 +35,10 @@ FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 
 @dataclass(frozen=True)
 class Bench:
-    """A model that stands so far, and the records.
+    """A model that stands so far, in the raw metric, and the records.
 
-    Parameters
-    ----------
-    records : Records
-        Training records.
-    train, later : tuple of Run
-        What is fitted and what is held out.
-    fit : Fit
-        The model, in the raw metric.
-    white : Fit, optional
-        The same model fitted in a whitening metric, where the next such fit begins.
+    Of the records ``train`` is fitted and ``later`` held out; ``white`` is the same model fitted in
+    a whitening metric, where the next such fit begins.
     """
 
     records: Records
@@ -80,8 +72,7 @@ class Bench:
             np.where(np.isfinite(run.x0_sd), run.x0_mean, start[: run.x0_mean.size])
             for run, start in zip(train, starts, strict=True)
         ]
-        raw, scale = raw_metric([run.outputs for run in train]), self.fit.scale
-        fit = fit_runs(self.fit.structure, train, raw, self.fit.theta, begun, scale)
+        fit = self.fit.again(train, raw_metric([run.outputs for run in train]), begun)
         return self if fit.failed else replace(self, train=train, fit=fit)
 
     def held_out_rms(self) -> FloatArray:
@@ -112,12 +103,10 @@ class Bench:
 
         What changes slowly shows over a whole record, and not over its first seconds.
         """
-        records = self.records.cut()
-        between = self.fit.structure.between
-        train = runs_of(records, records.fitted, between, begun=True)
-        later = runs_of(records, records.held_out, between, begun=False)
+        structure, records = self.fit.structure, self.records.cut()
+        train, later = _runs(records, structure.between)
         whole = replace(self, records=records, train=train, later=later, white=None)
-        return whole.refitted(self.fit.structure, self.fit.theta)
+        return whole.refitted(structure, self.fit.theta)
 
     def timed(self) -> Bench:
         """Return the bench with the timing offsets that whitened errors ask for."""
@@ -138,13 +127,8 @@ class Bench:
         """Return the bench with inputs laid otherwise between samples, or with fewer rows."""
         if between == self.fit.structure.between and fitted is None:
             return self
-        train = [e.rows(0, fitted or e.n_samples) for e in self.records.fitted]
-        later = [e.rows(0, held_out or e.n_samples) for e in self.records.held_out]
-        return replace(
-            self,
-            train=runs_of(self.records, train, between, begun=True),
-            later=runs_of(self.records, later, between, begun=False),
-        )
+        train, later = _runs(self.records, between, fitted, held_out)
+        return replace(self, train=train, later=later)
 
     def between_chosen(self) -> Bench:
         """Return the bench with its inputs between samples as they foretell held-out rows best.
@@ -178,9 +162,7 @@ class Bench:
         return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
 
     def _misfits(self, between: str, metric: Metric) -> tuple[float, float, FloatArray]:
-        """Return the raw error of a stretch of held-out rows, outputs joined by their geometric
-        mean, and what it costs in a metric, each by a fit of its own.
-        """
+        """Return raw error and cost in a metric of a stretch of held-out rows, and θ in between."""
         structure = replace(self.fit.structure, between=between)
         short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
         white = whitened_fit(
@@ -188,9 +170,8 @@ class Bench:
         )
         held = replace(structure, offsets_free=False)
         theta = _with_offsets(self.fit, white)
-        raw = fit_runs(
-            held, short.train, self.raw, theta, white.starts, white.scale, most=STEPS_BETWEEN
-        )
+        begun = replace(white, structure=held, theta=theta)
+        raw = begun.again(short.train, self.raw, most=STEPS_BETWEEN)
         if raw.failed or white.failed:
             return np.inf, np.inf, theta
         costs = [
@@ -201,13 +182,22 @@ class Bench:
         return float(np.exp(costs[0] / n)), costs[1], theta
 
 
+def _runs(
+    records: Records, between: str, fitted: int | None = None, held_out: int | None = None
+) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """Return what is fitted and what is held out, or so many rows of each record."""
+    train = [e.rows(0, fitted or e.n_samples) for e in records.fitted]
+    later = [e.rows(0, held_out or e.n_samples) for e in records.held_out]
+    first = runs_of(records, train, between, begun=True)
+    return first, runs_of(records, later, between, begun=False)
+
+
 def base_bench(records: Records) -> Bench:
     """Fit the user's model as it is, and choose how its inputs run between samples."""
     wanted = records.model.input_between_samples
     between = "cubic" if wanted == "auto" else wanted
     structure = Structure(records.model, (), between, offsets_free=False)
-    train = runs_of(records, records.fitted, between, begun=True)
-    later = runs_of(records, records.held_out, between, begun=False)
+    train, later = _runs(records, between)
     raw = raw_metric([run.outputs for run in train])
     fit = fit_runs(structure, train, raw, structure.start(), [run.x0_mean for run in train])
     bench = Bench(records, train, later, fit)
@@ -234,18 +224,13 @@ def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
     last whitened, with what the raw fit has in addition.
     """
     free = replace(bench.fit.structure, effects=fit.structure.effects, offsets_free=True)
-    starts = [(fit.theta, fit.starts)]
+    begun = [replace(fit, structure=free)]
     if bench.white is not None:
         known = bench.white.theta
-        starts.append((np.concatenate([known, fit.theta[known.size :]]), bench.white.starts))
-    if len(starts) > 1:
-        costs = [
-            fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=0).cost
-            for theta, x0 in starts
-        ]
-        starts = [starts[int(np.argmin(costs))]]
-    theta, x0 = starts[0]
-    return fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=MOST_WHITENED)
+        theta = np.concatenate([known, fit.theta[known.size :]])
+        begun.append(replace(begun[0], theta=theta, starts=bench.white.starts))
+        begun.sort(key=lambda one: one.again(bench.train, metric, most=0).cost)
+    return begun[0].again(bench.train, metric, most=MOST_WHITENED)
 
 
 def growth_of(fit: Fit, bench: Bench) -> float:

@@ -22,7 +22,7 @@ from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
-from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
@@ -31,7 +31,6 @@ from comparisons.missing_effect.systems.quantities import correlation_of, covari
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Run, Structure
 from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
@@ -213,14 +212,10 @@ def _concluded(
 def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric]:
     """Fit a model to all training rows, in the raw metric."""
     structure = replace(bench.fit.structure, offsets_free=False)
-    runs = _whole_runs(bench.records, structure)
+    runs = runs_of(bench.records, bench.records.whole, structure.between, begun=True)
     raw = raw_metric([run.outputs for run in runs])
-    fit = fit_runs(structure, runs, raw, bench.fit.theta, bench.fit.starts, bench.fit.scale)
+    fit = replace(bench.fit, structure=structure).again(runs, raw)
     return fit, covariance(fit, runs, raw), raw if fit.failed else metric_of(fit.errors)
-
-
-def _whole_runs(records: Records, structure: Structure) -> tuple[Run, ...]:
-    return runs_of(records, records.whole, structure.between, begun=True)
 
 
 def _found(
@@ -338,9 +333,7 @@ def _checked(
         there = settled(fit, [run], raw, rows=settle)
         simulated.append(there.paths[0].outputs)
     if refit and not there.failed:
-        own = fit_runs(
-            there.structure, [run], raw, there.theta, there.starts, there.scale, most=REFIT_STEPS
-        )
+        own = there.again([run], raw, most=REFIT_STEPS)
         simulated.append(own.paths[0].outputs)
     return _run(experiment, "check", records.model, *simulated, settle=settle)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -31,25 +32,13 @@ UNKNOWN_SCALE = 1e-3
 
 @dataclass(frozen=True)
 class Fit:
-    """A structure fitted to runs.
+    """A structure fitted to runs, which are its ``paths``.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    theta : ndarray
-        Parameters, timing offsets, effects.
-    starts : tuple of ndarray
-        State of the model and of its effects at the start of each run.
-    scale : ndarray of shape (n_X,)
-        Size of each state.
-    cost : float
-        Negative log-likelihood, the sizes of errors at their best, and what the starts cost.
-    errors : tuple of ndarray of shape (n, n_y)
-        Measured minus simulated, of each run: not a number where there is no reading, infinite
-        where the simulation failed.
-    paths : tuple of Path
-        The runs.
+    Theta holds parameters, timing offsets and effects; ``starts`` the state of the model and of its
+    effects at the start of each run, ``scale`` the size of each state. The cost is the negative
+    log-likelihood, the sizes of errors at their best, and what the starts cost. The errors of each
+    run, (n, n_y), are measured minus simulated: not a number where there is no reading, infinite
+    where the simulation failed.
     """
 
     structure: Structure
@@ -70,9 +59,16 @@ class Fit:
         """Numbers fitted, the starts of runs not counted."""
         return int(self.structure.free.size)
 
-    def params(self) -> dict[str, float]:
-        """Return the model's parameters by name."""
-        return dict(zip(self.structure.model.param_names, self.theta.tolist(), strict=False))
+    def again(
+        self,
+        runs: Sequence[Run],
+        metric: Metric,
+        starts: Sequence[FloatArray] | None = None,
+        **how: Any,
+    ) -> Fit:
+        """Return it fitted from where it stands, as `fit_runs` does."""
+        begun = self.starts if starts is None else starts
+        return fit_runs(self.structure, runs, metric, self.theta, begun, self.scale, **how)
 
     def linearised(self, runs: Sequence[Run]) -> list[Linearised]:
         """Return its runs linearised."""
@@ -289,10 +285,7 @@ def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = No
 
     def begun(given: Sequence[Run]) -> Fit:
         means = [run.x0_mean for run in given]
-        theta, scale = fit.theta, fit.scale
-        return fit_runs(
-            fit.structure, given, metric, theta, means, scale, only_starts=True, rows=rows
-        )
+        return fit.again(given, metric, means, only_starts=True, rows=rows)
 
     blind = any(
         placed.effect.kind == Kind.OUTPUT_MAP and placed.effect.code == Map.ABSOLUTE

@@ -16,16 +16,9 @@ class Metric:
     """In which errors are white and of unit variance.
 
     An error that is not a number marks a row without a reading: it is not scored, and no whitened
-    error looks across it.
-
-    Parameters
-    ----------
-    sigma : tuple of float
-        Standard deviation of what is new in an error of each output, in its unit.
-    ar : tuple of ndarray
-        Autoregression of each output's errors; empty arrays for the raw metric.
-    strides : tuple of int, optional
-        Rows from one reading of each output to the next.
+    error looks across it. Of each output sigma is the standard deviation of what is new in an
+    error, in its unit, beside the autoregression, which is empty in the raw metric, and the rows
+    from one reading to the next.
     """
 
     sigma: tuple[float, ...]

@@ -35,16 +35,9 @@ numbers_at: Any = intrinsic(_number_pointer)
 
 @dataclass(frozen=True, eq=False)
 class AtAddress:
-    """A function of a model that is machine code already.
+    """A function of a model that is machine code already: ``void (t, x*, u*, p*, out*)``.
 
-    Parameters
-    ----------
-    function : object
-        Compiled as ``void (t, x*, u*, p*, out*)``.
-    count : int
-        How many numbers it gives.
-    kept : object
-        What must live as long as it.
+    It gives so many numbers as ``count`` says; what is kept must live as long as it.
     """
 
     function: Any

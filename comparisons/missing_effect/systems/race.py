@@ -13,7 +13,7 @@ from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Place
 from comparisons.missing_effect.systems.score import Answers, Probe
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
 
 # Effects that make an input or a reading come late.
@@ -81,17 +81,16 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     forms = {(p.placed.name, p.placed.place) for p in ahead}
     ahead += [p for p in begun if p not in ahead and _plain_forms(p) & forms]
     starts = {p: begun[p].starts if lane is bench else bench.fit.starts for p in ahead}
-    return {p: _lap(bench, begun[p], starts[p], MOST_ITERATIONS) for p in probes if p in ahead}
+    return {
+        p: begun[p].again(bench.train, bench.raw, starts[p], most=MOST_ITERATIONS)
+        for p in probes
+        if p in ahead
+    }
 
 
 def _plain_forms(probe: Probe) -> set[tuple[str, Place]]:
     """Return what a probe is a plain form of, at its place."""
     return {(name, probe.placed.place) for name in probe.placed.effect.simple_form_of}
-
-
-def _lap(bench: Bench, fit: Fit, starts: Sequence[FloatArray], most: int) -> Fit:
-    """Go some steps on from a fit, in the raw metric."""
-    return fit_runs(fit.structure, bench.train, bench.raw, fit.theta, starts, fit.scale, most=most)
 
 
 def _begun(bench: Bench, probe: Probe) -> Fit:
@@ -164,17 +163,14 @@ def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.
     """
     from scipy.stats import norm
 
-    def again(f: Fit, runs: Sequence[Run], starts: Sequence[FloatArray]) -> Fit:
-        return fit_runs(f.structure, runs, metric, f.theta, starts, f.scale, most=STEPS)
-
-    name, rival = (again(f, lane.train, lane.fit.starts) for f in (name, rival))
+    name, rival = (f.again(lane.train, metric, lane.fit.starts, most=STEPS) for f in (name, rival))
     found, gaps = rival.cost - name.cost, []
     for _ in range(REPEATS if not rival.failed else 0):
         drawn = [
             replace(run, outputs=path.outputs + _drawn(errors, metric, rng))
             for run, path, errors in zip(lane.train, rival.paths, rival.errors, strict=True)
         ]
-        one, two = (again(f, drawn, f.starts) for f in (name, rival))
+        one, two = (f.again(drawn, metric, most=STEPS) for f in (name, rival))
         if np.isfinite(one.cost) and np.isfinite(two.cost):
             gaps.append(two.cost - one.cost)
     if len(gaps) < REPEATS // 2:

@@ -31,18 +31,10 @@ FIRST_ROWS, FIRST_ROWS_DOUBT, FEWEST_FIRST = 20, 3.0, 10
 
 @dataclass(frozen=True)
 class Records:
-    """Stretches of the training records.
+    """Stretches of the training records for a model.
 
-    Parameters
-    ----------
-    model : Model
-        What they are for.
-    whole : tuple of Experiment
-        The training records.
-    fitted, held_out : tuple of Experiment
-        Their first two thirds and last third, as far as naming uses them.
-    span : (float, float)
-        From the first to the last clock, in seconds.
+    Fitted and held out are the first two thirds and the last third of the whole records, as far as
+    naming uses them; the span is from the first to the last clock, in seconds.
     """
 
     model: Model

@@ -44,20 +44,10 @@ INSIDE = (Kind.TERM, Kind.HYSTERESIS, Kind.STATE_LIMIT, Kind.OVERFLOW)
 
 @dataclass(frozen=True)
 class Probe:
-    """What one effect at one place promises, or two together.
+    """What one effect at one place promises, from the start that promises most.
 
-    Parameters
-    ----------
-    placed : Placed
-        The effect.
-    start : tuple of float
-        The start that promises most.
-    amplitude : float
-        How much of it the errors ask for, by first order.
-    gain : float
-        Log-units that it would win.
-    second : Probe, optional
-        A second effect that wins them together with it.
+    The errors ask for so much of it, the amplitude, by first order, and it would win its gain in
+    log-units; together with a second effect, if there is one.
     """
 
     placed: Placed
@@ -86,16 +76,8 @@ class Probe:
 class Answers:
     """First-order answers to effects in a metric, free of what is fitted already.
 
-    Parameters
-    ----------
-    probes : tuple of Probe
-        One a column.
-    columns : ndarray of shape (n, K)
-        Of unit length.
-    error : ndarray of shape (n,)
-        Whitened errors; n counts the rows of all outputs of all runs.
-    block : ndarray of int, shape (n,)
-        Block of each row, for flips of sign.
+    Columns, (n, K), are of unit length, one a probe; n counts the rows of all outputs of all runs.
+    Errors are whitened; each row is in a block, for flips of sign.
     """
 
     probes: tuple[Probe, ...]

@@ -59,18 +59,10 @@ LEAST_LOST = 12.0
 
 @dataclass(frozen=True, eq=False)
 class ModelSystem(System[Placed, Fit]):
-    """A user's model.
+    """A user's model on its bench, in the metric of a round or in that of its own errors.
 
-    Parameters
-    ----------
-    bench : Bench
-        The model that stands so far, and the records.
-    metric : Metric, optional
-        Of the round; that of the model's own errors without it.
-    n_places : int
-        Places that are searched.
-    chances : (float, float)
-        Log-units that the best of them wins by chance, in the metric and in plain errors.
+    Of the places that are searched the best wins ``chances`` log-units by chance, in the metric and
+    in plain errors.
     """
 
     bench: Bench
