@@ -32,7 +32,6 @@ from comparisons.missing_effect.systems.records import Records, check_run, runs_
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
-from surge_core.errors import InputError
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
@@ -135,20 +134,17 @@ def _with_drift(
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
     """Return a check record; refuse another rate, and a start that leaves no row to score."""
     period_s = records.whole[0].sample_period_s
-    if abs(experiment.sample_period_s - period_s) > 1e-6 * period_s:
-        raise InputError(
-            experiment.named("sample period"),
-            expected=f"that of the training records, {period_s:g} s",
-            found=f"{experiment.sample_period_s:g} s",
-            remedy="resample it: lags and timing offsets are given in samples",
-        )
-    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
-    if settle >= experiment.n_samples // 2:
-        raise InputError(
-            experiment.named("rows"),
-            expected=f"more than twice the {settle} rows from which its start is estimated",
-            found=f"{experiment.n_samples}",
-        )
+    n, own_s = experiment.n_samples, experiment.sample_period_s
+    settle = experiment.settle or _settle_rows(records.model, n)
+    experiment.require(
+        abs(own_s - period_s) <= 1e-6 * period_s,
+        "sample period",
+        f"that of the training records, {period_s:g} s",
+        f"{own_s:g} s",
+        "resample it: lags and timing offsets are given in samples",
+    )
+    expected = f"more than twice the {settle} rows from which its start is estimated"
+    experiment.require(settle < n // 2, "rows", expected, f"{n}")
     return experiment
 
 
