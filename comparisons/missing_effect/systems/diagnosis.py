@@ -132,10 +132,12 @@ def _with_drift(
 
 
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
-    """Return a check record; refuse another rate, and a start that leaves no row to score."""
+    """Return a check record with the rows that give its start; refuse another rate, or too few."""
     period_s = records.whole[0].sample_period_s
-    n, own_s = experiment.n_samples, experiment.sample_period_s
-    settle = experiment.settle or _settle_rows(records.model, n)
+    model, n, own_s = records.model, experiment.n_samples, experiment.sample_period_s
+    # Several rows a state; a number of the record's own shows slowly and takes a tenth of it.
+    tenth = n // 10 if model.per_record else 0
+    settle = experiment.settle or max(10, 5 * len(model.states), tenth)
     experiment.require(
         abs(own_s - period_s) <= 1e-6 * period_s,
         "sample period",
@@ -145,16 +147,7 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     )
     expected = f"more than twice the {settle} rows from which its start is estimated"
     experiment.require(settle < n // 2, "rows", expected, f"{n}")
-    return experiment
-
-
-def _settle_rows(model: Model, n_samples: int) -> int:
-    """Return how many rows of a check give its start: several a state.
-
-    A number of the record's own shows slowly: it takes a tenth of the record.
-    """
-    own = n_samples // 10 if model.per_record else 0
-    return max(10, 5 * len(model.states), own)
+    return replace(experiment, settle=settle)
 
 
 def _concluded(
@@ -197,7 +190,7 @@ def _concluded(
         after=after,
         offsets=_offsets(model, after, after_cov),
         training=tuple(
-            _run(e, "fitted", model, before.paths[r].outputs, after.paths[r].outputs)
+            _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
             for r, e in enumerate(records.whole)
         ),
         checks=checked,
@@ -226,8 +219,6 @@ def _found(
     assert winner is not None
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
-    labels = tuple(one.label(model) for one in aliases)
-    names = tuple(dict.fromkeys(one.name for one in aliases))
     numbers = numbers_of(fit, placed, cov, step.bench.bench.train[0].clock)
     doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
     confirm = {placed.label(model): placed.words(model).confirm}
@@ -235,7 +226,7 @@ def _found(
         confirm.setdefault(one.label(model), one.words(model).confirm)
     return MissingEffect(
         placed.name,
-        names,
+        tuple(dict.fromkeys(one.name for one in aliases)),
         bool(doubts),
         numbers,
         {
@@ -249,7 +240,7 @@ def _found(
         doubts,
         placed.label(model),
         placed.where(model),
-        labels,
+        tuple(one.label(model) for one in aliases),
         placed.effect.unnamed,
         placed.equation(model),
         placed.words(model).says,
@@ -297,23 +288,29 @@ def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, 
 
 
 def _run(
-    experiment: Experiment, kind: str, model: Model, *simulated: FloatArray, settle: int = 0
+    experiment: Experiment,
+    kind: str,
+    model: Model,
+    simulated: Sequence[FloatArray],
+    settle: int = 0,
 ) -> CheckRun:
     """Return a record with its simulations before, after, and fitted to the record itself."""
-    before, after, *own = simulated
     n, period_s = experiment.n_samples, experiment.sample_period_s
+    time_s = experiment.first_s + period_s * np.arange(n, dtype=np.float64)
+    measured, (before, after, *own) = experiment.columns(model.output_names), simulated
+    refitted = own[0] if own else None
     return CheckRun(
         experiment.name,
         kind,
         period_s,
-        experiment.first_s + period_s * np.arange(n, dtype=np.float64),
+        time_s,
         model.outputs,
-        experiment.columns(model.output_names),
+        measured,
         before,
         after,
         settle,
         experiment.channels,
-        own[0] if own else None,
+        refitted,
     )
 
 
@@ -321,17 +318,15 @@ def _checked(
     records: Records, experiment: Experiment, before: Fit, after: Fit, refit: bool
 ) -> CheckRun:
     """Simulate a check record; its start comes from its first rows, which are not scored."""
-    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
     simulated = []
     for fit in (before, after):
         run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
-        there = settled(fit, [run], raw, rows=settle)
+        there = settled(fit, [run], raw, rows=experiment.settle)
         simulated.append(there.paths[0].outputs)
     if refit and not there.failed:
-        own = there.again([run], raw, most=REFIT_STEPS)
-        simulated.append(own.paths[0].outputs)
-    return _run(experiment, "check", records.model, *simulated, settle=settle)
+        simulated.append(there.again([run], raw, most=REFIT_STEPS).paths[0].outputs)
+    return _run(experiment, "check", records.model, simulated, settle=experiment.settle)
 
 
 def _refitted_words(run: CheckRun) -> list[str]:

@@ -118,7 +118,8 @@ def fit_runs(
     each state, where it is known. With ``only_starts`` the numbers stay as they are; ``rows`` of
     each run are scored, all without it; ``most`` counts the iterations.
     """
-    search = _Search(structure, tuple(runs), metric, only_starts, rows)
+    which = np.zeros(0, dtype=np.int64) if only_starts else structure.free
+    search = _Search(structure, tuple(runs), metric, which, rows)
     begun = tuple(own_starts(structure, run, x0) for run, x0 in zip(runs, starts, strict=True))
     known = scale is not None and scale.size == structure.n_states
     size = scale if known and scale is not None else np.full(structure.n_states, UNKNOWN_SCALE)
@@ -136,7 +137,7 @@ class _Search:
     structure: Structure
     runs: tuple[Run, ...]
     metric: Metric
-    only_starts: bool
+    which: IntArray
     rows: int | None
 
     def at(
@@ -170,13 +171,9 @@ class _Search:
     def _prior(self, run: Run, start: FloatArray) -> FloatArray:
         return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
 
-    @property
-    def _which(self) -> IntArray:
-        return np.zeros(0, dtype=np.int64) if self.only_starts else self.structure.free
-
     def run(self, point: Fit, most: int) -> Fit:
         """Search from a point."""
-        unknowns = self._which.size + len(self.runs) * len(self.structure.model.states)
+        unknowns = self.which.size + len(self.runs) * len(self.structure.model.states)
         if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
@@ -202,12 +199,11 @@ class _Search:
 
     def _normal(self, point: Fit) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the downhill slope, the starts of runs behind θ."""
-        which = self._which
-        m = which.size
+        m = self.which.size
         size = m + len(self.structure.model.states) * len(self.runs)
         normal, slope = np.zeros((size, size)), np.zeros(size)
         metric = self.metric.with_size_of(self._scored(point.errors))
-        answers = point.whitened_answers(self.runs, metric, which, self.rows)
+        answers = point.whitened_answers(self.runs, metric, self.which, self.rows)
         for (at, J, error), run, start in zip(answers, self.runs, point.starts, strict=True):
             white, own = J.reshape(-1, at.size), at[m:]
             normal[np.ix_(at, at)] += white.T @ white
@@ -224,7 +220,7 @@ class _Search:
         The others are solved for again beside what stops, or they would make up for a step that
         is not taken.
         """
-        m = self._which.size
+        m = self.which.size
         low, high = self._reach(point.theta)
         step = np.zeros(slope.size)
         diagonal = np.diag(normal)
@@ -252,7 +248,7 @@ class _Search:
 
         Over a threshold or a width the linearised run holds for a short way only.
         """
-        which, structure = self._which, self.structure
+        which, structure = self.which, self.structure
         low, high = (bound[which] - theta[which] for bound in structure.bounds)
         for placed in structure.effects:
             own = structure.slots_of(placed)
@@ -266,10 +262,10 @@ class _Search:
         return low, high
 
     def _moved(self, point: Fit, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        m, n_x = self._which.size, len(self.structure.model.states)
+        m, n_x = self.which.size, len(self.structure.model.states)
         low, high = self.structure.bounds
         theta = point.theta.copy()
-        theta[self._which] += step[:m]
+        theta[self.which] += step[:m]
         theta = np.clip(theta, low, high)
         starts = []
         for r, start in enumerate(point.starts):

@@ -92,13 +92,13 @@ def _check_kind(file: Path, described: Any) -> None:
             "it",
         )
     indicators, clocked = described.numberOfEventIndicators, len(described.clockedStates)
-    expected, found = "a unit without events, whose states run continuously", ""
-    if indicators or clocked:
-        found = f"{indicators} event indicators, {clocked} clocked states"
-    elif not described.derivatives:
-        found = "no states"
-    if found:
-        raise InputError(str(file), expected=expected, found=found)
+    if indicators or clocked or not described.derivatives:
+        events = f"{indicators} event indicators, {clocked} clocked states"
+        raise InputError(
+            str(file),
+            expected="a unit without events, whose states run continuously",
+            found=events if indicators or clocked else "no states",
+        )
 
 
 @contextmanager

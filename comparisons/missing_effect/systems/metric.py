@@ -93,6 +93,15 @@ class Metric:
         ]
 
 
+def correlations(errors: FloatArray) -> FloatArray:
+    """Return the autocorrelation of each column of errors about its mean, from no lag on."""
+    columns = np.nan_to_num(errors - np.nanmean(errors, axis=0))
+    n = columns.shape[0]
+    power = np.abs(np.fft.rfft(columns, 2 * n, axis=0)) ** 2
+    size = np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    return np.asarray(np.fft.irfft(power, 2 * n, axis=0)[:n] / size)
+
+
 def raw_metric(outputs: Sequence[FloatArray]) -> Metric:
     """Return the raw metric, each output in units of its own swing."""
     swing = np.nanstd(np.concatenate(list(outputs)), axis=0)

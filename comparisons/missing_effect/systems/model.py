@@ -240,14 +240,14 @@ class Model(Displayed):
     @property
     def state_groups(self) -> dict[str, slice | int]:
         """Where in x each state of the user's is: a number, or the cells of a vector."""
-        names = enumerate(self.state_names[: self.own_states])
-        alone: dict[int, tuple[str, slice | int]] = {
-            i: (name, i) for i, name in names if i not in self.cells
-        }
-        spans: dict[int, tuple[str, slice | int]] = {
-            span.start: (name, span) for name, span in self.vectors.items()
-        }
-        return dict(group for _, group in sorted({**alone, **spans}.items()))
+        cells, starts = self.cells, {span.start: name for name, span in self.vectors.items()}
+        groups: dict[str, slice | int] = {}
+        for i, name in enumerate(self.state_names[: self.own_states]):
+            if i in starts:
+                groups[starts[i]] = self.vectors[starts[i]]
+            elif i not in cells:
+                groups[name] = i
+        return groups
 
     @property
     def cells(self) -> frozenset[int]:

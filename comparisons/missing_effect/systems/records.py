@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
+from comparisons.missing_effect.systems.metric import correlations
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rates_of
 from comparisons.missing_effect.systems.structure import Run
@@ -137,9 +138,7 @@ def _rows_together(fit: Fit) -> float:
     """Return over how many rows errors of a fit go together: the sum of their correlations."""
     longest = 1.0
     for errors in fit.errors:
-        for column in np.nan_to_num(errors - np.nanmean(errors, axis=0)).T:
-            power = np.abs(np.fft.rfft(column, 2 * column.size)) ** 2
-            correlation = np.fft.irfft(power)[: column.size] / max(float(column @ column), 1e-300)
+        for correlation in correlations(errors).T:
             until = np.flatnonzero(correlation <= 0.0)
             whole = float(2.0 * np.sum(correlation[: until[0] if until.size else None]) - 1.0)
             longest = max(longest, whole)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.linearised import Laid
-from comparisons.missing_effect.systems.metric import Metric
+from comparisons.missing_effect.systems.metric import Metric, correlations
 from comparisons.missing_effect.systems.places import AT_OUTPUTS, Place, Placed, SystemEffect, rms
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import FINE
@@ -318,12 +318,9 @@ class _Signals:
 
 def _memory(white: FloatArray) -> int:
     """Return the rows over which whitened errors go together, of the output where they do most."""
-    n = len(white)
-    size = int(2 ** np.ceil(np.log2(2 * n)))
-    power = np.abs(np.fft.rfft(white - white.mean(axis=0), size, axis=0)) ** 2
-    correlation = np.fft.irfft(power, size, axis=0)[: n // FEWEST_FLIPPED]
+    correlation = correlations(white)[: len(white) // FEWEST_FLIPPED]
     # The last lag that still remembers, not the first zero: errors of a resonance swing about it.
-    large = np.flatnonzero(np.any(np.abs(correlation) > REMEMBERED * correlation[0], axis=1))
+    large = np.flatnonzero(np.any(np.abs(correlation) > REMEMBERED, axis=1))
     return int(large[-1]) + 1 if large.size else 1
 
 

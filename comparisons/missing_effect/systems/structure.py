@@ -113,8 +113,8 @@ class Structure:
     def start_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Bounds of the model's states at a start: only parameters of records have any."""
         own = [(-np.inf, np.inf)] * self.model.own_states
-        both = [*own, *((p.low, p.high) for p in self.model.per_record.values())]
-        low, high = np.array(both).reshape(-1, 2).T
+        own += [(p.low, p.high) for p in self.model.per_record.values()]
+        low, high = np.array(own).reshape(-1, 2).T
         return low, high
 
     def steps(self, theta: FloatArray) -> FloatArray:
