@@ -161,13 +161,10 @@ class ModelSystem(System[Placed, Fit]):
         One that stood in for what came after wins less than its numbers cost, and its absence
         makes the plain held-out error no larger.
         """
-        bench, structure, own = self.bench, self.fit.structure, metric_of(self.fit.errors)
-        moved = bench.refitted(
-            structure.without(one), np.delete(bench.fit.theta, self.fit.structure.slots_of(one))
-        )
-        moved = replace(moved, white=None)
-        lost = whitened_fit(moved, moved.fit, own).cost - self._own_cost
-        n = sum(np.count_nonzero(np.isfinite(errors)) for errors in bench.fit.errors)
+        structure, n = self.fit.structure, sum(np.isfinite(e).sum() for e in self.fit.errors)
+        theta = np.delete(self.fit.theta, structure.slots_of(one))
+        moved = replace(self.bench.refitted(structure.without(one), theta), white=None)
+        lost = self._cost(moved.fit) - self._own_cost
         same = moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN
         needless = same and lost < 0.5 * one.brings * np.log(n)
         return ModelSystem(moved) if needless else None
@@ -176,22 +173,21 @@ class ModelSystem(System[Placed, Fit]):
         self, one: Placed, step: ModelRound | None, effects: Sequence[SystemEffect]
     ) -> tuple[ModelCandidate, ...]:
         """Return those of a round's alias set that stand beside all that was found later."""
-        found = [placed.key for placed in self.found]
         if step is None or step.winner is None or step.winner.added[0].key != one.key:
             return ()
-        kept = [step.winner]
-        for c in step.aliases[1:]:
-            if len(c.added) > 1 or c.added[0].key in found:
-                continue
-            effects_then = [c.added[0] if e.key == one.key else e for e in self.found]
-            structure = replace(self.fit.structure, effects=tuple(effects_then))
-            theta = self.fit.theta.copy()
-            theta[self.fit.structure.slots_of(one)] = c.fit.theta[-SLOTS:]
-            swapped = self.bench.refitted(structure, theta)
-            bare, own = replace(self.bench, white=None), metric_of(self.fit.errors)
-            if whitened_fit(bare, swapped.fit, own).cost < self._own_cost + LEAST_LOST:
-                kept.append(c)
-        return tuple(kept)
+        found = [placed.key for placed in self.found]
+        others = [c for c in step.aliases[1:] if len(c.added) == 1 and c.added[0].key not in found]
+        kept = [
+            c for c in others if self._cost(self._swapped(one, c)) < self._own_cost + LEAST_LOST
+        ]
+        return (step.winner, *kept)
+
+    def _swapped(self, one: Placed, other: ModelCandidate) -> Fit:
+        """Return the model with a candidate in the place of what was found."""
+        effects = tuple(other.added[0] if e.key == one.key else e for e in self.found)
+        theta = self.fit.theta.copy()
+        theta[self.fit.structure.slots_of(one)] = other.fit.theta[-SLOTS:]
+        return self.bench.refitted(replace(self.fit.structure, effects=effects), theta).fit
 
     def rejected(self, winner: ModelCandidate, rival: ModelCandidate) -> float:
         """Return the chance of a winner's advantage if its rival were the truth (Cox)."""
@@ -202,11 +198,15 @@ class ModelSystem(System[Placed, Fit]):
         """Return the plain error on held-out rows."""
         return self.bench.held_out_size()
 
+    def _cost(self, fit: Fit) -> float:
+        """Return what a raw fit costs in the metric of the model's own errors."""
+        bare = replace(self.bench, white=None)
+        return whitened_fit(bare, fit, metric_of(self.fit.errors)).cost
+
     @cached_property
     def _own_cost(self) -> float:
-        """Cost of the model in the metric of its own errors, from its raw fit."""
-        bare = replace(self.bench, white=None)
-        return whitened_fit(bare, self.fit, metric_of(self.fit.errors)).cost
+        """What the model itself costs there."""
+        return self._cost(self.fit)
 
     @cached_property
     def _plain(self) -> tuple[Metric, Rows, FloatArray]:
