@@ -18,7 +18,7 @@ from comparisons.missing_effect.search import (
     search_round,
     verdict_of,
 )
-from comparisons.missing_effect.systems.bench import Bench, base_bench
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
@@ -95,7 +95,7 @@ def diagnose_model(
     given = [check] if isinstance(check, Experiment) else list(check)
     checks = [_checkable(e.of(model), records) for e in given]
     report("fitting the model")
-    base = ModelSystem(base_bench(records))
+    base = ModelSystem.of(records)
     system, rounds = search(base, catalogue, library, most_effects, report)
     if records.shortened and len(system.found) < most_effects and not system.failed:
         report("looking for what changes slowly")
@@ -106,9 +106,9 @@ def diagnose_model(
         for s in rounds
     ]
     report("testing what is left")
-    left = leftover_of(system.bench, catalogue, library)
+    left = leftover_of(system, catalogue, library)
     report("fitting all rows")
-    return _concluded(base.bench, system.bench, tuple(rounds), checks, left)
+    return _concluded(base, system, tuple(rounds), checks, left)
 
 
 def _with_drift(
@@ -116,13 +116,13 @@ def _with_drift(
 ) -> tuple[ModelSystem, list[ModelRound]]:
     """Look for a drift over whole records, of which the search saw the first rows alone."""
     drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
-    whole = ModelSystem(system.bench.over_whole_records())
+    whole = system.over_whole_records()
     if not drifts or whole.failed:
         return system, rounds
     step = search_round(whole, drifts, ())
     if step.winner is None:
         return system, rounds
-    moved = ModelSystem(whole.bench.with_winner(step.winner.fit, step.winner.onward))
+    moved = whole.with_better(step.winner.fit, step.winner.onward)
     if not is_worth_adding(step, whole, moved):
         return system, rounds
     # A round that added nothing is the last one, and this one stands in its place.
@@ -160,7 +160,7 @@ def _concluded(
     records = base.records
     before, before_cov, metric = _whole(base)
     after, after_cov = before, before_cov
-    if bench is not base:
+    if bench.fit.structure.effects:
         after, after_cov, metric = _whole(bench)
     added = after.structure.effects
     keys = {e.key for e in added}
@@ -219,7 +219,7 @@ def _found(
     assert winner is not None
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
-    numbers = numbers_of(fit, placed, cov, step.bench.bench.train[0].clock)
+    numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
