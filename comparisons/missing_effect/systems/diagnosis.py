@@ -253,8 +253,7 @@ def _foretells_badly(bench: Bench) -> bool:
 
     What happens in them alone cannot be found: nothing is fitted to them.
     """
-    fitted = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
-    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
+    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * bench.fit.rms))
 
 
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:

@@ -55,6 +55,11 @@ class Fit:
         return not np.isfinite(self.cost)
 
     @property
+    def rms(self) -> FloatArray:
+        """The rms error of each output."""
+        return np.asarray(np.sqrt(np.nanmean(np.concatenate(self.errors) ** 2, axis=0)))
+
+    @property
     def n_parameters(self) -> int:
         """Numbers fitted, the starts of runs not counted."""
         return int(self.structure.free.size)

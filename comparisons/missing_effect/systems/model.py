@@ -210,6 +210,12 @@ class Model(Displayed):
         """How many states are the model's; behind them are the parameters of records."""
         return len(self.states) - len(self.per_record)
 
+    @property
+    def trial(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+        """States, inputs and parameters at which its functions are tried."""
+        starts = tuple(float(p.start) for p in self.params.values())
+        return (0.1,) * len(self.states), (0.1,) * len(self.inputs), starts
+
     def with_record_parameters(self) -> Model:
         """Return the model whose parameters of records are states that stay as they start.
 
@@ -389,10 +395,8 @@ def _check_functions(model: Model) -> None:
         _require(callable(function), part, f"a function of {signature}", f"{function!r}")
     if black_box:
         return
-    x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
-    p = tuple(float(parameter.start) for parameter in model.params.values())
     try:
-        dx, y = model.evaluate(0.0, x, u, p)
+        dx, y = model.evaluate(0.0, *model.trial)
     except Exception as error:
         raise InputError(
             "model: rhs and output",

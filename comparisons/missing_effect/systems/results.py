@@ -17,7 +17,7 @@ from comparisons.missing_effect.results import (
     Gap,
     MissingEffect,
 )
-from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.runs import CheckRun, rms
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import label_of
@@ -130,14 +130,17 @@ class SystemDiagnosis(Diagnosis):
         single = len(self.model.outputs) == 1
         measured = np.concatenate([run.measured[run.settle :] for run in runs])
         swing = np.ones(1) if single else np.nanstd(measured, axis=0)
+        # Over all rows of all outputs, each over its swing.
         before, after = (
-            _joined([run.errors(before=which) for run in runs], swing) for which in (True, False)
+            np.concatenate([run.errors(before=which) for run in runs]) / swing
+            for which in (True, False)
         )
         floor = np.asarray(self.floor, dtype=np.float64)
         floor_rms = float(np.sqrt(np.mean((floor / swing) ** 2))) if floor.size else math.nan
         unit = next(iter(self.model.outputs.values())) if single else SHARE_UNIT
         # The floor comes from the fitted records: the check records may be quieter.
-        return Gap(before, after, floor_rms, unit, 1.0)
+        sizes = rms(np.column_stack([before.ravel(), after.ravel()])).tolist()
+        return Gap(sizes[0], sizes[1], floor_rms, unit, 1.0)
 
     @cached_property
     def candidates(self) -> tuple[CandidateRow, ...]:
@@ -177,13 +180,6 @@ class SystemDiagnosis(Diagnosis):
         if not c.fitted:
             return "not fitted"
         return "accepted" if c.accepted else "refused"
-
-
-def _joined(errors: Sequence[FloatArray], swing: FloatArray) -> float:
-    """Return the root mean square over all rows of all outputs, each over its swing."""
-    shares = np.concatenate(errors) / swing
-    kept = shares[np.isfinite(shares)]
-    return float(np.sqrt(np.mean(kept**2))) if kept.size else math.nan
 
 
 def residuals_of(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.systems.compiled import compiled, expression_address
+from comparisons.missing_effect.systems.compiled import compiled, compiled_term
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
 from comparisons.missing_effect.systems.experiments import Experiment, all_pass, input_pieces
 from comparisons.missing_effect.systems.model import Model
@@ -71,7 +71,8 @@ class Structure:
         rows, own = [], len(model.states)
         for placed in self.effects:
             effect, place = placed.effect, placed.place
-            address = expression_address(model, effect.expression) if effect.expression else 0
+            term = effect.expression
+            address = int(compiled_term(model, term).address) if term else 0
             rows += [effect.kind, effect.code, place.at, place.signal, place.other, own, address]
             own += effect.own_state
         out = np.array([*head, *rows], dtype=np.int64)
