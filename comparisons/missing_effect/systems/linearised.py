@@ -31,6 +31,8 @@ SMALL = 1e-4
 # within it rounds as it likes.
 BLACK_BOX_STEP = 100.0
 
+# What runs away is found by its numbers, which are no numbers then.
+QUIET = np.errstate(invalid="ignore", over="ignore")
 # No state of an effect that the run has not.
 NONE = np.zeros(0)
 
@@ -58,6 +60,7 @@ class Linearised:
         return self.run.system(self.structure, self.theta)
 
     @cached_property
+    @QUIET
     def _answers(self) -> Answer:
         """How slopes and outputs answer to each state, in its own unit."""
         states, steps = self.path.states, RELATIVE_STEP * (np.abs(self.path.states) + self.scale)
@@ -71,6 +74,7 @@ class Linearised:
         return np.stack(slopes, axis=2), np.stack(outputs, axis=2)
 
     @cached_property
+    @QUIET
     def transitions(self) -> tuple[FloatArray, FloatArray] | None:
         """Transition matrices over whole and second half steps; a black box has none.
 
@@ -86,6 +90,7 @@ class Linearised:
         whole = _exponentials(mean * step_s + twist * step_s**2)
         return whole * units, _exponentials((middle + last) * (0.25 * step_s)) * units
 
+    @QUIET
     def to_numbers(self, which: IntArray) -> FloatArray:
         """Return how the outputs answer to numbers of θ, and then to each state at the start.
 
@@ -110,6 +115,7 @@ class Linearised:
             forcing[:, :, c], direct[:, :, c] = _difference(sides, np.full(rows, by))
         return self._carried(forcing, np.hstack([np.zeros((n_X, m)), np.eye(n_X)]), direct)
 
+    @QUIET
     def to_effects(self, laid: Sequence[Laid]) -> FloatArray:
         """Return how the outputs would answer to each of some effects, to first order.
 
