@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 
+from comparisons.missing_effect.kernels import lag_pass
 from comparisons.missing_effect.systems.dynamics import (
     PLAY_SAMPLES,
     System,
@@ -41,6 +42,8 @@ MOST_STEPS = 50
 MOST_MEGABYTES = 4000
 # Parts of what the integrator hands on.
 PARTS = 7
+# Of a lag, in points of the fine grid.
+LEAST_LAG = 1e-3
 # What a black box that fails for some parameters may raise.
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
@@ -294,7 +297,8 @@ def _behind(placed: Placed, slots: FloatArray, values: FloatArray) -> FloatArray
         code = placed.effect.code
         return np.array([map_value(code, value, own, a) for value in values.tolist()])
     if kind in (Kind.INPUT_LAG, Kind.OUTPUT_LAG):
-        return _lagged(values, FINE * a)
+        every = np.array([[0, values.size]])
+        return lag_pass(values[:, None], max(FINE * a, LEAST_LAG), 1.0, every)[:, 0]
     return _followed(values, a * own) if kind == Kind.INPUT_PLAY else values
 
 
@@ -308,14 +312,3 @@ def _followed(values: FloatArray, gap: float) -> FloatArray:
         now += share * (max(off - gap, 0.0) + min(off + gap, 0.0))
         out[k] = now
     return out
-
-
-def _lagged(values: FloatArray, tau: float) -> FloatArray:
-    """Return values behind a first-order lag of τ samples, straight between samples."""
-    from scipy.signal import lfilter
-
-    kept = float(np.exp(-1.0 / max(tau, 1e-3)))
-    share = max(tau, 1e-3) * (1.0 - kept)
-    taps = [1.0 - share, share - kept]
-    # At rest at the first value.
-    return np.asarray(lfilter(taps, [1.0, -kept], values, zi=share * values[:1])[0])
