@@ -12,7 +12,6 @@ from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.results import MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
-from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
@@ -127,7 +126,7 @@ def _found(model: Model, won: ModelCandidate, aliases: tuple[ModelCandidate, ...
     )
 
 
-def _rounds(model: Model, bench: Bench) -> tuple[ModelRound, ...]:
+def _rounds(model: Model, bench: ModelSystem) -> tuple[ModelRound, ...]:
     nan = float("nan")
 
     def tried(name: str, which: int, score: float, *, accepted: bool = True) -> ModelCandidate:
@@ -146,7 +145,7 @@ def _rounds(model: Model, bench: Bench) -> tuple[ModelRound, ...]:
     third = (tried("open_product", 1, 61.3),)
     refused = {"backlash(U) of U": "the input never turns around"}
     return tuple(
-        ModelRound(ModelSystem(bench), ranked, ranked[0], ranked[:n_aliases], refused, share=share)
+        ModelRound(bench, ranked, ranked[0], ranked[:n_aliases], refused, share=share)
         for ranked, n_aliases, share in ((first, 1, 0.93), (second, 2, 0.31), (third, 1, 0.01))
     )
 
@@ -181,7 +180,7 @@ def made_diagnosis(
     training = tuple(run for run in made if not run.held_out)
     records = Records.of(model, [Experiment(run.name, PERIOD_S, run.signals) for run in training])
     before = fit_of(model, (), training)
-    rounds = _rounds(model, Bench(records, (), (), before))
+    rounds = _rounds(model, ModelSystem(records, (), (), before))
     if nothing:
         refused = tuple(c for c in rounds[1].candidates if not c.accepted)
         rounds = (replace(rounds[1], candidates=refused, winner=None, aliases=()),)

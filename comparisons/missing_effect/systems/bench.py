@@ -7,6 +7,7 @@ a whitening one, since what happens within a sample is lost in the slow part of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -35,18 +36,10 @@ FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 
 @dataclass(frozen=True)
 class Bench:
-    """A model that stands so far, and the records.
+    """A model that stands so far, in the raw metric, and the records.
 
-    Parameters
-    ----------
-    records : Records
-        Training records.
-    train, later : tuple of Run
-        What is fitted and what is held out.
-    fit : Fit
-        The model, in the raw metric.
-    white : Fit, optional
-        The same model fitted in a whitening metric, where the next such fit begins.
+    Of the records ``train`` is fitted and ``later`` held out; ``white`` is the same model fitted in
+    a whitening metric, where the next such fit begins.
     """
 
     records: Records
@@ -55,12 +48,35 @@ class Bench:
     fit: Fit
     white: Fit | None = None
 
+    @classmethod
+    def of(cls, records: Records) -> Self:
+        """Fit the user's model as it is, and choose how its inputs run between samples."""
+        wanted = records.model.input_between_samples
+        between = "cubic" if wanted == "auto" else wanted
+        structure = Structure(records.model, (), between, offsets_free=False)
+        train, later = _runs(records, between)
+        raw = raw_metric([run.outputs for run in train])
+        fit = fit_runs(structure, train, raw, structure.start(), [run.x0_mean for run in train])
+        tolerance = FIRST_TOLERANCE
+        if not fit.failed:
+            # The whitened errors of the model as it is bound the noise from above.
+            noise = np.array(metric_of(fit.errors).sigma)
+            least = TOLERANCE_SHARE * np.min(noise / np.array(raw.sigma))
+            tolerance = float(np.clip(least, LEAST_TOLERANCE, FIRST_TOLERANCE))
+        finer = replace(structure, tolerance=tolerance)
+        return cls(records, train, later, fit).refitted(finer, fit.theta).timed().between_chosen()
+
+    @property
+    def failed(self) -> bool:
+        """Whether the model could not be simulated."""
+        return self.fit.failed
+
     @property
     def raw(self) -> Metric:
         """The raw metric."""
         return raw_metric([run.outputs for run in self.train])
 
-    def raced(self) -> Bench:
+    def raced(self) -> Self:
         """Return the bench with windows spread over the fitted rows, where those are many.
 
         A race tells candidates apart on a few thousand rows; what acts in episodes is met in a
@@ -80,23 +96,21 @@ class Bench:
             np.where(np.isfinite(run.x0_sd), run.x0_mean, start[: run.x0_mean.size])
             for run, start in zip(train, starts, strict=True)
         ]
-        raw, scale = raw_metric([run.outputs for run in train]), self.fit.scale
-        fit = fit_runs(self.fit.structure, train, raw, self.fit.theta, begun, scale)
+        fit = self.fit.again(train, raw_metric([run.outputs for run in train]), begun)
         return self if fit.failed else replace(self, train=train, fit=fit)
 
     def held_out_rms(self) -> FloatArray:
         """Return the rms error of each output on the held-out rows, starts estimated there."""
-        errors = np.concatenate(settled(self.fit, self.later, self.raw).errors)
-        return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+        return settled(self.fit, self.later, self.raw).rms
 
-    def refitted(self, structure: Structure, theta: FloatArray) -> Bench:
+    def refitted(self, structure: Structure, theta: FloatArray) -> Self:
         """Return the bench with another model, fitted in the raw metric; its offsets are held."""
         bench = self.laid(structure.between)
         held = replace(structure, offsets_free=False)
         fit = fit_runs(held, bench.train, self.raw, theta, self.fit.starts)
         return replace(bench, fit=fit)
 
-    def with_winner(self, white: Fit, raw: Fit | None) -> Bench:
+    def with_better(self, white: Fit, raw: Fit | None) -> Self:
         """Return the bench with what a round found, from the better of two ends of its race.
 
         The whitened fit and the raw race may end in different valleys of the raw error.
@@ -107,24 +121,22 @@ class Bench:
             moved.append(self.refitted(raw.structure, theta))
         return replace(min(moved, key=lambda bench: bench.fit.cost), white=white)
 
-    def over_whole_records(self) -> Bench:
+    def over_whole_records(self) -> Self:
         """Return the bench with all rows of its records fitted or held out, and the model refitted.
 
         What changes slowly shows over a whole record, and not over its first seconds.
         """
-        records = self.records.cut()
-        between = self.fit.structure.between
-        train = runs_of(records, records.fitted, between, begun=True)
-        later = runs_of(records, records.held_out, between, begun=False)
+        structure, records = self.fit.structure, self.records.cut()
+        train, later = _runs(records, structure.between)
         whole = replace(self, records=records, train=train, later=later, white=None)
-        return whole.refitted(self.fit.structure, self.fit.theta)
+        return whole.refitted(structure, self.fit.theta)
 
-    def timed(self) -> Bench:
+    def timed(self) -> Self:
         """Return the bench with the timing offsets that whitened errors ask for."""
         if not self.records.model.inputs or self.fit.failed:
             return self
         metric = metric_of(self.fit.errors)
-        white = whitened_fit(self, self.fit, metric)
+        white = self.whitened(self.fit, metric)
         moved = self.refitted(self.fit.structure, _with_offsets(self.fit, white))
         better = moved.held_out_size() < self.held_out_size() / BETTER_TIMED
         return replace(moved if better else self, white=white)
@@ -134,19 +146,14 @@ class Bench:
         sizes = self.held_out_rms()
         return float(np.exp(np.mean(np.log(sizes)))) if np.all(np.isfinite(sizes)) else np.inf
 
-    def laid(self, between: str, fitted: int | None = None, held_out: int | None = None) -> Bench:
+    def laid(self, between: str, fitted: int | None = None, held_out: int | None = None) -> Self:
         """Return the bench with inputs laid otherwise between samples, or with fewer rows."""
         if between == self.fit.structure.between and fitted is None:
             return self
-        train = [e.rows(0, fitted or e.n_samples) for e in self.records.fitted]
-        later = [e.rows(0, held_out or e.n_samples) for e in self.records.held_out]
-        return replace(
-            self,
-            train=runs_of(self.records, train, between, begun=True),
-            later=runs_of(self.records, later, between, begun=False),
-        )
+        train, later = _runs(self.records, between, fitted, held_out)
+        return replace(self, train=train, later=later)
 
-    def between_chosen(self) -> Bench:
+    def between_chosen(self) -> Self:
         """Return the bench with its inputs between samples as they foretell held-out rows best.
 
         Another way is taken when the raw error on held-out rows falls by it; or when it stays and
@@ -178,19 +185,15 @@ class Bench:
         return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
 
     def _misfits(self, between: str, metric: Metric) -> tuple[float, float, FloatArray]:
-        """Return the raw error of a stretch of held-out rows, outputs joined by their geometric
-        mean, and what it costs in a metric, each by a fit of its own.
-        """
+        """Return raw error and cost in a metric of a stretch of held-out rows, and θ in between."""
         structure = replace(self.fit.structure, between=between)
         short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
-        white = whitened_fit(
-            replace(short, fit=replace(self.fit, structure=structure)), self.fit, metric
-        )
+        laid = replace(short, fit=replace(self.fit, structure=structure))
+        white = laid.whitened(self.fit, metric)
         held = replace(structure, offsets_free=False)
         theta = _with_offsets(self.fit, white)
-        raw = fit_runs(
-            held, short.train, self.raw, theta, white.starts, white.scale, most=STEPS_BETWEEN
-        )
+        begun = replace(white, structure=held, theta=theta)
+        raw = begun.again(short.train, self.raw, most=STEPS_BETWEEN)
         if raw.failed or white.failed:
             return np.inf, np.inf, theta
         costs = [
@@ -200,69 +203,46 @@ class Bench:
         n = sum(run.n_samples for run in short.later) * len(self.raw.sigma)
         return float(np.exp(costs[0] / n)), costs[1], theta
 
+    def whitened(self, fit: Fit, metric: Metric) -> Fit:
+        """Fit a model in a whitening metric, timing offsets free.
 
-def base_bench(records: Records) -> Bench:
-    """Fit the user's model as it is, and choose how its inputs run between samples."""
-    wanted = records.model.input_between_samples
-    between = "cubic" if wanted == "auto" else wanted
-    structure = Structure(records.model, (), between, offsets_free=False)
-    train = runs_of(records, records.fitted, between, begun=True)
-    later = runs_of(records, records.held_out, between, begun=False)
-    raw = raw_metric([run.outputs for run in train])
-    fit = fit_runs(structure, train, raw, structure.start(), [run.x0_mean for run in train])
-    bench = Bench(records, train, later, fit)
-    finer = replace(structure, tolerance=tolerance_for(fit, bench.raw))
-    return bench.refitted(finer, fit.theta).timed().between_chosen()
+        The search begins where it costs least: at the raw fit, or at the model as it was last
+        whitened, with what the raw fit has in addition.
+        """
+        free = replace(self.fit.structure, effects=fit.structure.effects, offsets_free=True)
+        begun = [replace(fit, structure=free)]
+        if self.white is not None:
+            known = self.white.theta
+            theta = np.concatenate([known, fit.theta[known.size :]])
+            begun.append(replace(begun[0], theta=theta, starts=self.white.starts))
+            begun.sort(key=lambda one: one.again(self.train, metric, most=0).cost)
+        return begun[0].again(self.train, metric, most=MOST_WHITENED)
 
-
-def tolerance_for(fit: Fit, raw: Metric) -> float:
-    """Return a tolerance of the integrator well below what is new in the errors.
-
-    The whitened errors of the model as it is bound the noise from above.
-    """
-    if fit.failed:
-        return FIRST_TOLERANCE
-    noise = metric_of(fit.errors).sigma
-    least = min(new / swing for new, swing in zip(noise, raw.sigma, strict=True))
-    return float(np.clip(TOLERANCE_SHARE * least, LEAST_TOLERANCE, FIRST_TOLERANCE))
-
-
-def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
-    """Fit a model in a whitening metric, timing offsets free.
-
-    The search begins where it costs least: at the raw fit, or at the model of the bench as it was
-    last whitened, with what the raw fit has in addition.
-    """
-    free = replace(bench.fit.structure, effects=fit.structure.effects, offsets_free=True)
-    starts = [(fit.theta, fit.starts)]
-    if bench.white is not None:
-        known = bench.white.theta
-        starts.append((np.concatenate([known, fit.theta[known.size :]]), bench.white.starts))
-    if len(starts) > 1:
-        costs = [
-            fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=0).cost
-            for theta, x0 in starts
-        ]
-        starts = [starts[int(np.argmin(costs))]]
-    theta, x0 = starts[0]
-    return fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=MOST_WHITENED)
+    def growth_of(self, fit: Fit) -> float:
+        """Return by how many powers of e changes of the state grow along the runs, at most."""
+        most = 0.0
+        for one in fit.linearised(self.train):
+            # A black box does not say how its states change.
+            whole = () if one.transitions is None else one.transitions[0]
+            change, size = np.diag(fit.scale), 0.0
+            for step in whole:
+                change = step @ change
+                norm = float(np.linalg.norm(change / fit.scale[:, None]))
+                if not 0.0 < norm < np.inf:
+                    break
+                change, size = change / norm, size + float(np.log(norm))
+                most = max(most, size)
+        return most
 
 
-def growth_of(fit: Fit, bench: Bench) -> float:
-    """Return by how many powers of e small changes of the state grow along the runs, at most."""
-    most = 0.0
-    for one in fit.linearised(bench.train):
-        # A black box does not say how its states change.
-        whole = () if one.transitions is None else one.transitions[0]
-        change, size = np.diag(fit.scale), 0.0
-        for step in whole:
-            change = step @ change
-            norm = float(np.linalg.norm(change / fit.scale[:, None]))
-            if not 0.0 < norm < np.inf:
-                break
-            change, size = change / norm, size + float(np.log(norm))
-            most = max(most, size)
-    return most
+def _runs(
+    records: Records, between: str, fitted: int | None = None, held_out: int | None = None
+) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """Return what is fitted and what is held out, or so many rows of each record."""
+    train = [e.rows(0, fitted or e.n_samples) for e in records.fitted]
+    later = [e.rows(0, held_out or e.n_samples) for e in records.held_out]
+    first = runs_of(records, train, between, begun=True)
+    return first, runs_of(records, later, between, begun=False)
 
 
 def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:

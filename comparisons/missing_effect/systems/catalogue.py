@@ -22,7 +22,7 @@ def _effect(entry: dict[str, Any], measurements: dict[str, str]) -> SystemEffect
         kind=kind,
         code=shapes[shape] if shape else 0,
         numbers=tuple(Number(*number) for number in entry.pop("numbers")),
-        places=getattr(roles, entry.pop("places")),
+        places=roles.PLACES[entry.pop("places")],
         starts=roles.quantiles(**starts) if isinstance(starts, dict) else roles.fixed(*starts),
         refused=getattr(roles, entry.pop("refused", "always")),
         confirm=entry.pop("confirm").format(**measurements),

@@ -53,52 +53,21 @@ call_at: Any = intrinsic(_call_at)
 def compiled(model: Model) -> tuple[Any, Any]:
     """Return right-hand side and output compiled, each with its address; a model is compiled once.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Raises
-    ------
-    InputError
-        When a function uses what cannot be compiled.
+    Refused is what cannot be compiled.
     """
-    return _function(model, "rhs"), _function(model, "output")
+    return _cfunc(model, "rhs", model.rhs), _cfunc(model, "output", model.output)
 
 
 @lru_cache(maxsize=512)
-def _expression(model: Model, expression: Expression) -> Any:
+def compiled_term(model: Model, expression: Expression) -> Any:
+    """Return a term of the user's own compiled for the model whose signals it reads."""
     return _cfunc(model, "library", expression(model))
 
 
-def expression_address(model: Model, expression: Expression) -> int:
-    """Return where a term of the user's own is, compiled for a model.
-
-    Parameters
-    ----------
-    model : Model
-        The model whose states, inputs and parameters it reads.
-    expression : callable
-        ``expression(model)`` gives it as a function of (t, x, u, p).
-
-    Raises
-    ------
-    InputError
-        When it uses what cannot be compiled.
-    """
-    return int(_expression(model, expression).address)
-
-
-def _function(model: Model, part: str) -> Any:
-    """Compile one function of a model, unless it is machine code already."""
-    given = getattr(model, part)
-    if isinstance(given, AtAddress):
-        return given
-    return _cfunc(model, part, given)
-
-
 def _cfunc(model: Model, part: str, user: Any) -> Any:
-    """Compile a function as ``void (t, x*, u*, p*, out*)``."""
+    """Compile a function as ``void (t, x*, u*, p*, out*)``, unless it is machine code already."""
+    if isinstance(user, AtAddress):
+        return user
     own, n_p = model.own_states, len(model.params)
     groups = dict(zip(("x", "u", "p"), model.group_kinds, strict=True))
     read = {
@@ -114,7 +83,7 @@ def _cfunc(model: Model, part: str, user: Any) -> Any:
     given = [f"{name}_group({', '.join(fields)})" for name, fields in read.items()]
     lines = ["def wrapped(t, x, u, p, out):", f"    cells = carray(x, ({own},))"]
     lines.append(f"    found = user(t, {', '.join(given)})")
-    lines += _filling(_tried(model, user))
+    lines += _filling(user(0.0, *model.groups(*model.trial)))
     if part == "rhs":
         lines += [f"    out[{own + i}] = 0.0" for i in range(len(model.per_record))]
     # Only names that were checked to be identifiers reach this source, and none of them does:
@@ -133,13 +102,6 @@ def _cfunc(model: Model, part: str, user: Any) -> Any:
             found=_first_line(error),
             remedy="write it with numbers only, without objects or closures over arrays",
         ) from error
-
-
-def _tried(model: Model, user: Callable[..., Any]) -> Any:
-    """Return what a function gives at one point."""
-    p = tuple(float(parameter.start) for parameter in model.params.values())
-    x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
-    return user(0.0, *model.groups(x, u, p))
 
 
 def _filling(found: Any) -> list[str]:

@@ -18,11 +18,11 @@ from comparisons.missing_effect.search import (
     search_round,
     verdict_of,
 )
-from comparisons.missing_effect.systems.bench import Bench, base_bench
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
-from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
@@ -31,9 +31,7 @@ from comparisons.missing_effect.systems.quantities import correlation_of, covari
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Run, Structure
 from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
-from surge_core.errors import InputError
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
@@ -97,7 +95,7 @@ def diagnose_model(
     given = [check] if isinstance(check, Experiment) else list(check)
     checks = [_checkable(e.of(model), records) for e in given]
     report("fitting the model")
-    base = ModelSystem(base_bench(records))
+    base = ModelSystem.of(records)
     system, rounds = search(base, catalogue, library, most_effects, report)
     if records.shortened and len(system.found) < most_effects and not system.failed:
         report("looking for what changes slowly")
@@ -108,9 +106,9 @@ def diagnose_model(
         for s in rounds
     ]
     report("testing what is left")
-    left = leftover_of(system.bench, catalogue, library)
+    left = leftover_of(system, catalogue, library)
     report("fitting all rows")
-    return _concluded(base.bench, system.bench, tuple(rounds), checks, left)
+    return _concluded(base, system, tuple(rounds), checks, left)
 
 
 def _with_drift(
@@ -118,13 +116,13 @@ def _with_drift(
 ) -> tuple[ModelSystem, list[ModelRound]]:
     """Look for a drift over whole records, of which the search saw the first rows alone."""
     drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
-    whole = ModelSystem(system.bench.over_whole_records())
+    whole = system.over_whole_records()
     if not drifts or whole.failed:
         return system, rounds
     step = search_round(whole, drifts, ())
     if step.winner is None:
         return system, rounds
-    moved = ModelSystem(whole.bench.with_winner(step.winner.fit, step.winner.onward))
+    moved = whole.with_better(step.winner.fit, step.winner.onward)
     if not is_worth_adding(step, whole, moved):
         return system, rounds
     # A round that added nothing is the last one, and this one stands in its place.
@@ -134,32 +132,22 @@ def _with_drift(
 
 
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
-    """Return a check record; refuse another rate, and a start that leaves no row to score."""
+    """Return a check record with the rows that give its start; refuse another rate, or too few."""
     period_s = records.whole[0].sample_period_s
-    if abs(experiment.sample_period_s - period_s) > 1e-6 * period_s:
-        raise InputError(
-            experiment.named("sample period"),
-            expected=f"that of the training records, {period_s:g} s",
-            found=f"{experiment.sample_period_s:g} s",
-            remedy="resample it: lags and timing offsets are given in samples",
-        )
-    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
-    if settle >= experiment.n_samples // 2:
-        raise InputError(
-            experiment.named("rows"),
-            expected=f"more than twice the {settle} rows from which its start is estimated",
-            found=f"{experiment.n_samples}",
-        )
-    return experiment
-
-
-def _settle_rows(model: Model, n_samples: int) -> int:
-    """Return how many rows of a check give its start: several a state.
-
-    A number of the record's own shows slowly: it takes a tenth of the record.
-    """
-    own = n_samples // 10 if model.per_record else 0
-    return max(10, 5 * len(model.states), own)
+    model, n, own_s = records.model, experiment.n_samples, experiment.sample_period_s
+    # Several rows a state; a number of the record's own shows slowly and takes a tenth of it.
+    tenth = n // 10 if model.per_record else 0
+    settle = experiment.settle or max(10, 5 * len(model.states), tenth)
+    experiment.require(
+        abs(own_s - period_s) <= 1e-6 * period_s,
+        "sample period",
+        f"that of the training records, {period_s:g} s",
+        f"{own_s:g} s",
+        "resample it: lags and timing offsets are given in samples",
+    )
+    expected = f"more than twice the {settle} rows from which its start is estimated"
+    experiment.require(settle < n // 2, "rows", expected, f"{n}")
+    return replace(experiment, settle=settle)
 
 
 def _concluded(
@@ -172,7 +160,7 @@ def _concluded(
     records = base.records
     before, before_cov, metric = _whole(base)
     after, after_cov = before, before_cov
-    if bench is not base:
+    if bench.fit.structure.effects:
         after, after_cov, metric = _whole(bench)
     added = after.structure.effects
     keys = {e.key for e in added}
@@ -202,7 +190,7 @@ def _concluded(
         after=after,
         offsets=_offsets(model, after, after_cov),
         training=tuple(
-            _run(e, "fitted", model, before.paths[r].outputs, after.paths[r].outputs)
+            _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
             for r, e in enumerate(records.whole)
         ),
         checks=checked,
@@ -213,14 +201,10 @@ def _concluded(
 def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric]:
     """Fit a model to all training rows, in the raw metric."""
     structure = replace(bench.fit.structure, offsets_free=False)
-    runs = _whole_runs(bench.records, structure)
+    runs = runs_of(bench.records, bench.records.whole, structure.between, begun=True)
     raw = raw_metric([run.outputs for run in runs])
-    fit = fit_runs(structure, runs, raw, bench.fit.theta, bench.fit.starts, bench.fit.scale)
+    fit = replace(bench.fit, structure=structure).again(runs, raw)
     return fit, covariance(fit, runs, raw), raw if fit.failed else metric_of(fit.errors)
-
-
-def _whole_runs(records: Records, structure: Structure) -> tuple[Run, ...]:
-    return runs_of(records, records.whole, structure.between, begun=True)
 
 
 def _found(
@@ -235,16 +219,14 @@ def _found(
     assert winner is not None
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
-    labels = tuple(one.label(model) for one in aliases)
-    names = tuple(dict.fromkeys(one.name for one in aliases))
-    numbers = numbers_of(fit, placed, cov, step.bench.bench.train[0].clock)
+    numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
     return MissingEffect(
         placed.name,
-        names,
+        tuple(dict.fromkeys(one.name for one in aliases)),
         bool(doubts),
         numbers,
         {
@@ -258,7 +240,7 @@ def _found(
         doubts,
         placed.label(model),
         placed.where(model),
-        labels,
+        tuple(one.label(model) for one in aliases),
         placed.effect.unnamed,
         placed.equation(model),
         placed.words(model).says,
@@ -271,8 +253,7 @@ def _foretells_badly(bench: Bench) -> bool:
 
     What happens in them alone cannot be found: nothing is fitted to them.
     """
-    fitted = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
-    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
+    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * bench.fit.rms))
 
 
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
@@ -306,23 +287,29 @@ def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, 
 
 
 def _run(
-    experiment: Experiment, kind: str, model: Model, *simulated: FloatArray, settle: int = 0
+    experiment: Experiment,
+    kind: str,
+    model: Model,
+    simulated: Sequence[FloatArray],
+    settle: int = 0,
 ) -> CheckRun:
     """Return a record with its simulations before, after, and fitted to the record itself."""
-    before, after, *own = simulated
     n, period_s = experiment.n_samples, experiment.sample_period_s
+    time_s = experiment.first_s + period_s * np.arange(n, dtype=np.float64)
+    measured, (before, after, *own) = experiment.columns(model.output_names), simulated
+    refitted = own[0] if own else None
     return CheckRun(
         experiment.name,
         kind,
         period_s,
-        experiment.first_s + period_s * np.arange(n, dtype=np.float64),
+        time_s,
         model.outputs,
-        experiment.columns(model.output_names),
+        measured,
         before,
         after,
         settle,
         experiment.channels,
-        own[0] if own else None,
+        refitted,
     )
 
 
@@ -330,19 +317,15 @@ def _checked(
     records: Records, experiment: Experiment, before: Fit, after: Fit, refit: bool
 ) -> CheckRun:
     """Simulate a check record; its start comes from its first rows, which are not scored."""
-    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
     simulated = []
     for fit in (before, after):
         run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
-        there = settled(fit, [run], raw, rows=settle)
+        there = settled(fit, [run], raw, rows=experiment.settle)
         simulated.append(there.paths[0].outputs)
     if refit and not there.failed:
-        own = fit_runs(
-            there.structure, [run], raw, there.theta, there.starts, there.scale, most=REFIT_STEPS
-        )
-        simulated.append(own.paths[0].outputs)
-    return _run(experiment, "check", records.model, *simulated, settle=settle)
+        simulated.append(there.again([run], raw, most=REFIT_STEPS).paths[0].outputs)
+    return _run(experiment, "check", records.model, simulated, settle=experiment.settle)
 
 
 def _refitted_words(run: CheckRun) -> list[str]:

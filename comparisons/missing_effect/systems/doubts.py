@@ -14,7 +14,12 @@ from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
+from comparisons.missing_effect.systems.places import (
+    Placed,
+    SystemEffect,
+    label_of,
+    signal_names,
+)
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
@@ -112,7 +117,7 @@ def leftover_of(
     flip_p = (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + by_chance.size)
     later = settled(bench.fit, bench.later, bench.raw)
     model = bench.records.model
-    names = (*model.state_names, *model.input_names)
+    names = signal_names(model)
     n_x = len(model.states)
     signals = [
         np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
@@ -123,6 +128,5 @@ def leftover_of(
         found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], signals, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
             p, share, follows = found
-    size = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
-    ratio = float(np.max(size / np.asarray(metric.sigma)))
+    ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
     return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)

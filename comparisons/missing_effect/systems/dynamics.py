@@ -103,13 +103,12 @@ def _parameters(t: float, system: System, p: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def scratch_for(ints: IntArray) -> FloatArray:
-    """Return working space for these kernels: states, inputs, parameters, outputs, all slopes."""
-    n_x, n_u, n_p, n_y, n_own = ints[2], ints[3], ints[4], ints[5], ints[6]
-    return np.zeros(n_x + n_u + n_p + n_y + n_x + n_own)
+    """Return working space for these kernels: states, inputs, parameters, and last the outputs."""
+    return np.zeros(ints[2] + ints[3] + ints[4] + ints[5])
 
 
 @kernel
-def views(
+def _views(
     ints: IntArray, scratch: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return states, inputs, parameters and outputs in the scratch."""
@@ -119,36 +118,10 @@ def views(
 
 
 @kernel
-def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray) -> None:
-    """Fill the scratch with states, inputs and parameters as the model sees them.
-
-    In dX what own states of inputs do is filled, and zero elsewhere.
-    """
-    theta, ints, floats, _, _ = system
-    x, u, p, _ = views(ints, scratch)
-    # Loops, since numba takes ten times as long to copy a few numbers from slice to slice.
-    for i in range(X.size):
-        dX[i] = 0.0
-    for i in range(x.size):
-        x[i] = X[i]
-    _inputs(t, X, system, u, dX)
-    _parameters(t, system, p)
-    for e in range(ints[7]):
-        row = HEAD + ROW * e
-        if ints[row] == 8:
-            i = ints[row + 2]
-            a = theta[ints[4] + ints[3] + SLOTS * e]
-            x[i] = map_value(ints[row + 1], x[i], floats[FLOATS * e + 1], a)
-
-
-@kernel
-def add_effect(
+def _add_effect(
     e: int, t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
 ) -> None:
-    """Add to dX what effect e does, if it is a term, an overflow or a hysteresis.
-
-    The scratch was filled by `prepare`.
-    """
+    """Add to dX what effect e does, if it is a term, an overflow or a hysteresis."""
     theta, ints, floats, _, clock = system
     n_x, row, at = ints[2], HEAD + ROW * e, ints[4] + ints[3] + SLOTS * e
     kind, i, k = ints[row], ints[row + 2], ints[row + 3]
@@ -158,7 +131,7 @@ def add_effect(
         scale = FLOATS * e
         m, value = ints[row + 4], 0.0
         if ints[row + 1] == 12:
-            x, u, p, given = views(ints, scratch)
+            x, u, p, given = _views(ints, scratch)
             call_at(ints[row + 6], t, x, u, p, given)
             value = given[0] / floats[scale + 1]
         else:
@@ -184,66 +157,73 @@ def add_effect(
 
 
 @kernel
-def extended_rhs(
-    t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
+def extended(
+    t: float, X: FloatArray, system: System, reads: bool, dX: FloatArray, scratch: FloatArray
 ) -> None:
-    """Fill dX with dX/dt of the extended system.
+    """Fill dX with dX/dt of the extended system and, where asked, its outputs in the scratch.
 
-    Parameters
-    ----------
-    t : float
-        Seconds since the run's first sample.
-    X, dX : ndarray of shape (n_x + n_own,)
-        State, and its slope.
-    system : System
-        θ, layout, inputs, clock.
-    scratch : ndarray
-        From `scratch_for`: this is called millions of times, and must make no arrays.
+    The time is in seconds since the run's first sample. The scratch comes from `scratch_for`: this
+    is called millions of times, and must make no arrays.
     """
-    theta, ints, _, _, clock = system
-    n_x, n_u, n_p = ints[2], ints[3], ints[4]
-    prepare(t, X, system, dX, scratch)
-    x, u, p, y = views(ints, scratch)
-    call_at(ints[0], t, x, u, p, dX)
-    for e in range(ints[7]):
-        add_effect(e, t, X, system, dX, scratch)
-    for e in range(ints[7]):
-        row = HEAD + ROW * e
-        if ints[row] == 6:
-            # The sensor reads the state itself, and what its reading goes through comes first.
-            for i in range(n_x):
-                x[i] = X[i]
-            call_at(ints[1], t, x, u, p, y)
-            _read(e, X, system, y)
-            lag_s = max(theta[n_p + n_u + SLOTS * e], 1e-3) * clock[1]
-            dX[ints[row + 5]] = (y[ints[row + 2]] - X[ints[row + 5]]) / lag_s
-
-
-@kernel
-def _read(end: int, X: FloatArray, system: System, y: FloatArray) -> None:
-    """Put into y what stands in place of readings, by the effects before number ``end``."""
-    theta, ints, floats, _, _ = system
-    at = ints[4] + ints[3]
-    for e in range(end):
-        row = HEAD + ROW * e
-        j = ints[row + 2]
-        if ints[row] == 6:
-            y[j] = X[ints[row + 5]]
-        elif ints[row] == 5:
-            y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])
-
-
-@kernel
-def extended_output(
-    t: float, X: FloatArray, system: System, y: FloatArray, scratch: FloatArray
-) -> None:
-    """Fill y with the outputs of the extended system; the rest as of `extended_rhs`."""
-    ints = system[1]
-    x, u, p, _ = views(ints, scratch)
+    theta, ints, floats, _, clock = system
+    n_eff, at = ints[7], ints[4] + ints[3]
+    x, u, p, y = _views(ints, scratch)
+    # Loops, since numba takes ten times as long to copy a few numbers from slice to slice.
+    for i in range(X.size):
+        dX[i] = 0.0
     for i in range(x.size):
         x[i] = X[i]
-    unused = scratch[x.size + u.size + p.size + ints[5] :]
-    _inputs(t, X, system, u, unused)
+    _inputs(t, X, system, u, dX)
     _parameters(t, system, p)
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        reads = reads or ints[row] == 6
+        if ints[row] == 8:
+            i = ints[row + 2]
+            x[i] = map_value(ints[row + 1], x[i], floats[FLOATS * e + 1], theta[at + SLOTS * e])
+    call_at(ints[0], t, x, u, p, dX)
+    for e in range(n_eff):
+        _add_effect(e, t, X, system, dX, scratch)
+    if not reads:
+        return
+    # A sensor reads the state itself.
+    for i in range(x.size):
+        x[i] = X[i]
     call_at(ints[1], t, x, u, p, y)
-    _read(ints[7], X, system, y)
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        j, own, a = ints[row + 2], ints[row + 5], theta[at + SLOTS * e]
+        if ints[row] == 5:
+            y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], a)
+        elif ints[row] == 6:
+            dX[own] = (y[j] - X[own]) / (max(a, 1e-3) * clock[1])
+            y[j] = X[own]
+
+
+@njit(cache=True, error_model="numpy")
+def along(
+    states: FloatArray, begun: FloatArray, system: System, fine: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the slopes of a system along a run, and its outputs at the samples.
+
+    The run has as many points a sample as ``fine`` says. Begun holds where the state of an effect
+    begins that the run has not, if any: it goes on beside the run.
+    """
+    theta, ints, clock = system[0], system[1], system[4]
+    (m, n), n_y, step_s = states.shape, ints[5], clock[1] / fine
+    slopes, outputs = np.empty((m, n)), np.empty(((m - 1) // fine + 1, n_y))
+    X, dX, scratch = np.empty(n + begun.size), np.empty(n + begun.size), scratch_for(ints)
+    X[n:] = begun
+    for k in range(m):
+        X[:n] = states[k]
+        extended(k * step_s, X, system, k % fine == 0, dX, scratch)
+        slopes[k] = dX[:n]
+        if k % fine == 0:
+            outputs[k // fine] = scratch[scratch.size - n_y :]
+        if begun.size:
+            X[n] += step_s * dX[n]
+            # A hysteresis stays within its bounds; other states of effects are readings.
+            if ints[HEAD + ROW * (ints[7] - 1)] == 10:
+                most = 2.0 / max(1.0 + theta[theta.size - SLOTS + 2], 0.1)
+                X[n] = min(max(X[n], -most), most)
+    return slopes, outputs

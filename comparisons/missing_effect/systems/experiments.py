@@ -148,26 +148,15 @@ class Experiment:
 def input_pieces(values: FloatArray, how: str) -> FloatArray:
     """Return an input between samples as cubic pieces.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Samples.
-    how : {"held", "linear", "cubic", "band"}
-        Held until the next sample, straight lines, a cubic spline, or band-limited: resampled
-        four times finer by a polyphase filter, and a spline through that.
-
-    Returns
-    -------
-    ndarray of shape (m, 4)
-        Coefficients of 1, s, s², s³ on each piece, s from 0 to 1 along it.
+    Held until the next sample, on straight lines, on a cubic spline, or band-limited: resampled
+    four times finer by a polyphase filter, and on a spline through that. A piece has coefficients
+    of 1, s, s² and s³, s from 0 to 1 along it.
     """
-    if how == "held":
-        pieces = np.zeros((values.size, 4))
-        pieces[:, 0] = values
-        return pieces
-    if how == "linear":
-        pieces = np.zeros((values.size - 1, 4))
-        pieces[:, 0], pieces[:, 1] = values[:-1], np.diff(values)
+    if how in ("held", "linear"):
+        pieces = np.zeros((values.size - (how == "linear"), 4))
+        pieces[:, 0] = values[: len(pieces)]
+        if how == "linear":
+            pieces[:, 1] = np.diff(values)
         return pieces
     from scipy.interpolate import CubicSpline
 
@@ -189,16 +178,7 @@ def all_pass(values: FloatArray, alpha: float, beta: float, *, inverse: bool = F
     whose filter cancels. A nonlinear model does not commute with it: harmonics come late. What was
     recorded is F u and F y, so the system is driven by F⁻¹ of the input and F is laid over its
     answer. F(s) = (1 − α s + β s²) / (1 + α s + β s²), s in radians a sample; a common delay cannot
-    be seen.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n, ...)
-        Channels along the first axis.
-    alpha, beta : float
-        Coefficients, per sample; α = 0 leaves everything as it is.
-    inverse : bool
-        Undo the filter instead.
+    be seen; α = 0 leaves everything as it is. Channels lie along the first axis.
     """
     if alpha == 0.0:
         return values

@@ -73,28 +73,19 @@ def read_experiment(
     wanted = None if model is None else (*model.input_names, *model.output_names)
     columns = reader(file, wanted)
     clocks = [name for name in TIMES if name in columns]
-    if len(clocks) != 1:
-        raise InputError(
-            str(file),
-            expected="one column of time in seconds, 'time_s' or 't'",
-            found="both" if clocks else f"columns {', '.join(columns) or 'of other names'}",
-        )
+    found = "both" if clocks else f"columns {', '.join(columns) or 'of other names'}"
+    expected = "one column of time in seconds, 'time_s' or 't'"
+    _require(len(clocks) == 1, str(file), expected, found)
     time_s = columns.pop(clocks[0])
-    if time_s.size < FEWEST_ROWS:
-        raise InputError(
-            f"{file}: rows", expected=f"at least {FEWEST_ROWS}", found=f"{time_s.size}"
-        )
-    odd = [key for key, values in columns.items() if values.size != time_s.size]
-    if wanted is not None and odd:
-        raise InputError(
-            f"{file}: {odd[0]}",
-            expected=f"{time_s.size} values, as many as of time",
-            found=f"{columns[odd[0]].size}",
-        )
-    columns = {key: values for key, values in columns.items() if key not in odd}
+    n = time_s.size
+    _require(n >= FEWEST_ROWS, f"{file}: rows", f"at least {FEWEST_ROWS}", f"{n}")
+    odd = {key: values.size for key, values in columns.items() if values.size != n}
+    for key, size in odd.items() if wanted is not None else ():
+        _require(False, f"{file}: {key}", f"{n} values, as many as of time", f"{size}")
+    kept = {key: values for key, values in columns.items() if key not in odd}
     period_s = _period(f"{file}: {clocks[0]}", time_s)
     run = Experiment(
-        name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
+        name or file.stem, period_s, kept, float(time_s[0]), settle=settle, origin=str(file)
     )
     return run if model is None else run.of(model)
 
@@ -125,34 +116,31 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         with _folder_on_path(file.parent):
             space = runpy.run_path(str(file), run_name="sindy_surge_model")
     except InputError as error:
+        at = f"{file}, line {_line_of(error, file)}: {error.where}"
         raise InputError(
-            f"{file}, line {_line_of(error, file)}: {error.where}",
-            expected=error.expected,
-            found=error.found,
-            remedy=error.remedy,
+            at, expected=error.expected, found=error.found, remedy=error.remedy
         ) from error
     except (Exception, SystemExit) as error:
         # A program of the user's raises whatever it likes.
         line, said = _line_of(error, file), _cause(error)
         if isinstance(error, SyntaxError):
             line, said = error.lineno or 1, error.msg
+        found = f"{type(error).__name__}: {said}"
         raise InputError(
-            f"{file}, line {line}",
-            expected="Python that runs",
-            found=f"{type(error).__name__}: {said}",
+            f"{file}, line {line}", expected="Python that runs", found=found
         ) from error
-    if isinstance(space.get("model"), Model):
-        return space["model"]  # type: ignore[no-any-return]
     models = {id(value): name for name, value in space.items() if isinstance(value, Model)}
-    if len(models) != 1:
-        raise InputError(
-            str(file),
-            expected="a variable 'model' that is a Model",
-            found=f"several models: {', '.join(models.values())}" if models else "no Model in it",
-            remedy="write model = Model(...)",
-        )
-    (name,) = models.values()
+    name = "model" if isinstance(space.get("model"), Model) else next(iter(models.values()), "")
+    found = f"several models: {', '.join(models.values())}" if models else "no Model in it"
+    good = name == "model" or len(models) == 1
+    expected, remedy = "a variable 'model' that is a Model", "write model = Model(...)"
+    _require(good, str(file), expected, found, remedy)
     return space[name]  # type: ignore[no-any-return]
+
+
+def _require(good: bool, where: str, expected: str, found: str, remedy: str = "") -> None:
+    if not good:
+        raise InputError(where, expected=expected, found=found, remedy=remedy)
 
 
 def _require_file(file: Path, expected: str) -> None:
@@ -160,8 +148,7 @@ def _require_file(file: Path, expected: str) -> None:
     found = "a folder" if file.is_dir() else "" if file.is_file() else "no such file"
     if not found and file.stat().st_size == 0:
         found = "an empty file"
-    if found:
-        raise InputError(str(file), expected=expected, found=found)
+    _require(not found, str(file), expected, found)
 
 
 @contextmanager
@@ -211,13 +198,13 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
     how: Any = {"header": None, "encoding": "utf-8-sig", "skipinitialspace": True}
     with _parsed(file, "a table as UTF-8 text"):
         names = [str(name).strip() for name in pd.read_csv(file, nrows=1, **how).iloc[0]]
-    if len(names) == 1 or len(set(names)) < len(names):
-        raise InputError(
-            f"{file}: header",
-            expected="names of columns separated by commas, each once",
-            found=", ".join(names)[:60],
-            remedy="write it with commas between columns and points in numbers",
-        )
+    _require(
+        len(names) == len(set(names)) > 1,
+        f"{file}: header",
+        "names of columns separated by commas, each once",
+        ", ".join(names)[:60],
+        "write it with commas between columns and points in numbers",
+    )
     expected = f"a table of {len(names)} columns separated by commas"
     with _parsed(file, expected), warnings.catch_warnings():
         # A row that is longer than the header is a warning there, and would be cut.
@@ -227,11 +214,9 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
     for name in names if wanted is None else (n for n in names if n in (*TIMES, *wanted)):
         numbers = pd.to_numeric(table[name], errors="coerce")
         words = np.flatnonzero(numbers.isna() & table[name].notna())
-        if words.size:
-            cell = str(table[name][words[0]])[:40]
-            raise InputError(
-                f"{file}: {name}", expected="numbers", found=f"'{cell}' in row {words[0] + 1}"
-            )
+        for row in words[:1]:
+            found = f"'{str(table[name][row])[:40]}' in row {row + 1}"
+            _require(False, f"{file}: {name}", "numbers", found)
         out[name] = numbers.to_numpy(dtype=np.float64)
     return out
 
@@ -265,12 +250,8 @@ def _read_stored(file: Path, wanted: Names) -> Columns:
     """Read a file of one of the formats that raw records have."""
     with open_stored(file) as table:
         for name in wanted or ():
-            if name in table.left_aside:
-                raise InputError(
-                    f"{file}: {name}",
-                    expected="a vector of numbers, as many as of time",
-                    found=table.left_aside[name],
-                )
+            found, expected = table.left_aside.get(name), "a vector of numbers, as many as of time"
+            _require(found is None, f"{file}: {name}", expected, str(found))
         kept = tuple(n for n in table.names if wanted is None or n in (*TIMES, *wanted))
         blocks = list(table.blocks(kept))
     columns = zip(kept, map(np.concatenate, zip(*blocks, strict=True)), strict=True)
@@ -286,21 +267,18 @@ _READERS = {
 
 def _period(where: str, time_s: FloatArray) -> float:
     """Return the sample period of a uniform clock; refuse another with its row."""
-    bad = np.flatnonzero(~np.isfinite(time_s))
-    if bad.size:
-        raise InputError(
-            where, expected="finite times", found=f"{time_s[bad[0]]} in row {bad[0] + 1}"
-        )
+    for row in np.flatnonzero(~np.isfinite(time_s))[:1]:
+        _require(False, where, "finite times", f"{time_s[row]} in row {row + 1}")
     n, period_s = time_s.size, uniform_period_s(time_s, where)
     off = np.abs(time_s - (time_s[0] + period_s * np.arange(n))) / period_s
     row = int(np.argmax(off))
-    if off[row] > LARGEST_JITTER:
-        raise InputError(
-            where,
-            expected=f"a uniform clock within {LARGEST_JITTER:g} of its period, {period_s:.6g} s",
-            found=f"row {row + 1} off by {off[row]:.3g} periods",
-            remedy="resample the record to a uniform clock",
-        )
+    _require(
+        off[row] <= LARGEST_JITTER,
+        where,
+        f"a uniform clock within {LARGEST_JITTER:g} of its period, {period_s:.6g} s",
+        f"row {row + 1} off by {off[row]:.3g} periods",
+        "resample the record to a uniform clock",
+    )
     return _rounded(period_s, n, float(off[row]))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -31,25 +32,13 @@ UNKNOWN_SCALE = 1e-3
 
 @dataclass(frozen=True)
 class Fit:
-    """A structure fitted to runs.
+    """A structure fitted to runs, which are its ``paths``.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    theta : ndarray
-        Parameters, timing offsets, effects.
-    starts : tuple of ndarray
-        State of the model and of its effects at the start of each run.
-    scale : ndarray of shape (n_X,)
-        Size of each state.
-    cost : float
-        Negative log-likelihood, the sizes of errors at their best, and what the starts cost.
-    errors : tuple of ndarray of shape (n, n_y)
-        Measured minus simulated, of each run: not a number where there is no reading, infinite
-        where the simulation failed.
-    paths : tuple of Path
-        The runs.
+    Theta holds parameters, timing offsets and effects; ``starts`` the state of the model and of its
+    effects at the start of each run, ``scale`` the size of each state. The cost is the negative
+    log-likelihood, the sizes of errors at their best, and what the starts cost. The errors of each
+    run, (n, n_y), are measured minus simulated: not a number where there is no reading, infinite
+    where the simulation failed.
     """
 
     structure: Structure
@@ -66,13 +55,25 @@ class Fit:
         return not np.isfinite(self.cost)
 
     @property
+    def rms(self) -> FloatArray:
+        """The rms error of each output."""
+        return np.asarray(np.sqrt(np.nanmean(np.concatenate(self.errors) ** 2, axis=0)))
+
+    @property
     def n_parameters(self) -> int:
         """Numbers fitted, the starts of runs not counted."""
         return int(self.structure.free.size)
 
-    def params(self) -> dict[str, float]:
-        """Return the model's parameters by name."""
-        return dict(zip(self.structure.model.param_names, self.theta.tolist(), strict=False))
+    def again(
+        self,
+        runs: Sequence[Run],
+        metric: Metric,
+        starts: Sequence[FloatArray] | None = None,
+        **how: Any,
+    ) -> Fit:
+        """Return it fitted from where it stands, as `fit_runs` does."""
+        begun = self.starts if starts is None else starts
+        return fit_runs(self.structure, runs, metric, self.theta, begun, self.scale, **how)
 
     def linearised(self, runs: Sequence[Run]) -> list[Linearised]:
         """Return its runs linearised."""
@@ -116,30 +117,14 @@ def fit_runs(
     rows: int | None = None,
     most: int = MOST_ITERATIONS,
 ) -> Fit:
-    """Fit a structure to runs.
+    """Fit a structure to runs, from numbers and from the state of the model at each run's start.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    runs : sequence of Run
-        What is fitted.
-    metric : Metric
-        Colour of the errors; their sizes are fitted.
-    theta : ndarray
-        Where to begin.
-    starts : sequence of ndarray
-        State of the model at the start of each run, where to begin.
-    scale : ndarray, optional
-        Size of each state.
-    only_starts : bool
-        Whether θ stays as it is.
-    rows : int, optional
-        Score so many rows of each run alone.
-    most : int
-        Most iterations.
+    The metric gives the colour of the errors, whose sizes are fitted; ``scale`` is the size of
+    each state, where it is known. With ``only_starts`` the numbers stay as they are; ``rows`` of
+    each run are scored, all without it; ``most`` counts the iterations.
     """
-    search = _Search(structure, tuple(runs), metric, only_starts, rows)
+    which = np.zeros(0, dtype=np.int64) if only_starts else structure.free
+    search = _Search(structure, tuple(runs), metric, which, rows)
     begun = tuple(own_starts(structure, run, x0) for run, x0 in zip(runs, starts, strict=True))
     known = scale is not None and scale.size == structure.n_states
     size = scale if known and scale is not None else np.full(structure.n_states, UNKNOWN_SCALE)
@@ -157,7 +142,7 @@ class _Search:
     structure: Structure
     runs: tuple[Run, ...]
     metric: Metric
-    only_starts: bool
+    which: IntArray
     rows: int | None
 
     def at(
@@ -191,13 +176,9 @@ class _Search:
     def _prior(self, run: Run, start: FloatArray) -> FloatArray:
         return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
 
-    @property
-    def _which(self) -> IntArray:
-        return np.zeros(0, dtype=np.int64) if self.only_starts else self.structure.free
-
     def run(self, point: Fit, most: int) -> Fit:
         """Search from a point."""
-        unknowns = self._which.size + len(self.runs) * len(self.structure.model.states)
+        unknowns = self.which.size + len(self.runs) * len(self.structure.model.states)
         if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
@@ -223,12 +204,11 @@ class _Search:
 
     def _normal(self, point: Fit) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the downhill slope, the starts of runs behind θ."""
-        which = self._which
-        m = which.size
+        m = self.which.size
         size = m + len(self.structure.model.states) * len(self.runs)
         normal, slope = np.zeros((size, size)), np.zeros(size)
         metric = self.metric.with_size_of(self._scored(point.errors))
-        answers = point.whitened_answers(self.runs, metric, which, self.rows)
+        answers = point.whitened_answers(self.runs, metric, self.which, self.rows)
         for (at, J, error), run, start in zip(answers, self.runs, point.starts, strict=True):
             white, own = J.reshape(-1, at.size), at[m:]
             normal[np.ix_(at, at)] += white.T @ white
@@ -245,7 +225,7 @@ class _Search:
         The others are solved for again beside what stops, or they would make up for a step that
         is not taken.
         """
-        m = self._which.size
+        m = self.which.size
         low, high = self._reach(point.theta)
         step = np.zeros(slope.size)
         diagonal = np.diag(normal)
@@ -273,7 +253,7 @@ class _Search:
 
         Over a threshold or a width the linearised run holds for a short way only.
         """
-        which, structure = self._which, self.structure
+        which, structure = self.which, self.structure
         low, high = (bound[which] - theta[which] for bound in structure.bounds)
         for placed in structure.effects:
             own = structure.slots_of(placed)
@@ -287,10 +267,10 @@ class _Search:
         return low, high
 
     def _moved(self, point: Fit, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        m, n_x = self._which.size, len(self.structure.model.states)
+        m, n_x = self.which.size, len(self.structure.model.states)
         low, high = self.structure.bounds
         theta = point.theta.copy()
-        theta[self._which] += step[:m]
+        theta[self.which] += step[:m]
         theta = np.clip(theta, low, high)
         starts = []
         for r, start in enumerate(point.starts):
@@ -306,10 +286,7 @@ def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = No
 
     def begun(given: Sequence[Run]) -> Fit:
         means = [run.x0_mean for run in given]
-        theta, scale = fit.theta, fit.scale
-        return fit_runs(
-            fit.structure, given, metric, theta, means, scale, only_starts=True, rows=rows
-        )
+        return fit.again(given, metric, means, only_starts=True, rows=rows)
 
     blind = any(
         placed.effect.kind == Kind.OUTPUT_MAP and placed.effect.code == Map.ABSOLUTE

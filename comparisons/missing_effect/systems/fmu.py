@@ -35,32 +35,13 @@ Names = Sequence[str] | Mapping[str, str]
 def unit_parts(
     path: str | os.PathLike[str], inputs: Names, outputs: Names, params: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what a model is made of: units of its signals, starts of its parameters, functions.
+    """Return what the model of a unit is made of: units of its signals, functions, name.
 
-    Parameters
-    ----------
-    path : str or path
-        A unit for model exchange, of FMI 2 or 3.
-    inputs, outputs : sequence of str, or mapping of str to str
-        Variables of the unit, or what they are called in the records and in the unit.
-    params : sequence of str
-        Variables of the unit that are fitted.
-
-    Returns
-    -------
-    dict
-        ``states``, ``inputs``, ``outputs`` (name: unit), ``x0`` (name: value), ``params``
-        (name: (start, low, high, unit)), ``rhs``, ``output`` and ``name``.
-
-    Raises
-    ------
-    InputError
-        When it is no such unit, has events, or lacks a variable.
+    ``params`` gives start, bounds and unit of each; see `Model.from_fmu`.
     """
     fmpy = _fmpy()
     file = Path(path)
-    if not file.is_file():
-        raise InputError(str(file), expected="a functional mock-up unit", found="no such file")
+    _require(file.is_file(), file, "a functional mock-up unit", "no such file")
     with _said_by(file, "a functional mock-up unit (.fmu)"):
         described = fmpy.read_model_description(str(file), validate=False)
     _check_kind(file, described)
@@ -100,23 +81,24 @@ def _fmpy() -> ModuleType:
 
 
 def _check_kind(file: Path, described: Any) -> None:
-    if described.fmiMajorVersion not in (2, 3) or described.modelExchange is None:
-        kind = "co-simulation" if described.coSimulation is not None else "another kind"
-        raise InputError(
-            str(file),
-            expected="a unit for model exchange, of FMI 2 or 3",
-            found=f"{kind}, of FMI {described.fmiVersion}",
-            remedy="export it for model exchange, or give Model.from_simulate a function that runs "
-            "it",
-        )
+    kind = "co-simulation" if described.coSimulation is not None else "another kind"
+    _require(
+        described.fmiMajorVersion in (2, 3) and described.modelExchange is not None,
+        file,
+        "a unit for model exchange, of FMI 2 or 3",
+        f"{kind}, of FMI {described.fmiVersion}",
+        "export it for model exchange, or give Model.from_simulate a function that runs it",
+    )
     indicators, clocked = described.numberOfEventIndicators, len(described.clockedStates)
-    expected, found = "a unit without events, whose states run continuously", ""
-    if indicators or clocked:
-        found = f"{indicators} event indicators, {clocked} clocked states"
-    elif not described.derivatives:
-        found = "no states"
-    if found:
-        raise InputError(str(file), expected=expected, found=found)
+    expected = "a unit without events, whose states run continuously"
+    found = f"{indicators} event indicators, {clocked} clocked states"
+    _require(not indicators and not clocked, file, expected, found)
+    _require(bool(described.derivatives), file, expected, "no states")
+
+
+def _require(good: bool, at: object, expected: str, found: str, remedy: str = "") -> None:
+    if not good:
+        raise InputError(str(at), expected=expected, found=found, remedy=remedy)
 
 
 @contextmanager
@@ -136,14 +118,10 @@ def _identifier(name: str) -> str:
 
 def _chosen(file: Path, part: str, names: Names, known: Mapping[str, Any]) -> dict[str, Any]:
     pairs = names if isinstance(names, Mapping) else {_identifier(name): name for name in names}
+    reals = [n for n, v in known.items() if v.type in ("Real", "Float64")]
+    expected = "real variables of the unit: " + ", ".join(reals[:20])
     for name in pairs.values():
-        if name not in known or known[name].type not in ("Real", "Float64"):
-            reals = [n for n, v in known.items() if v.type in ("Real", "Float64")]
-            raise InputError(
-                f"{file}: {part}",
-                expected="real variables of the unit: " + ", ".join(reals[:20]),
-                found=f"'{name}'",
-            )
+        _require(name in reals, f"{file}: {part}", expected, f"'{name}'")
     return {own: known[name] for own, name in pairs.items()}
 
 

@@ -16,16 +16,9 @@ class Metric:
     """In which errors are white and of unit variance.
 
     An error that is not a number marks a row without a reading: it is not scored, and no whitened
-    error looks across it.
-
-    Parameters
-    ----------
-    sigma : tuple of float
-        Standard deviation of what is new in an error of each output, in its unit.
-    ar : tuple of ndarray
-        Autoregression of each output's errors; empty arrays for the raw metric.
-    strides : tuple of int, optional
-        Rows from one reading of each output to the next.
+    error looks across it. Of each output sigma is the standard deviation of what is new in an
+    error, in its unit, beside the autoregression, which is empty in the raw metric, and the rows
+    from one reading to the next.
     """
 
     sigma: tuple[float, ...]
@@ -47,13 +40,7 @@ class Metric:
         ]
 
     def scored(self, errors: FloatArray) -> BoolArray:
-        """Return which whitened errors of one run there are, shape (n, n_y).
-
-        Parameters
-        ----------
-        errors : ndarray of shape (n, n_y)
-            Errors, or readings; not a number where there is none.
-        """
+        """Return which whitened errors of one run there are, by its errors or readings."""
         there = ~np.isnan(errors)
         out = there.copy()
         for j, lags in enumerate(self._lags):
@@ -63,12 +50,9 @@ class Metric:
         return out
 
     def whitened(self, errors: FloatArray) -> FloatArray:
-        """Return whitened errors of one run, or columns of a Jacobian.
+        """Return whitened errors of one run, (n, n_y), or columns of a Jacobian behind them.
 
-        Parameters
-        ----------
-        errors : ndarray of shape (n, n_y) or (n, n_y, columns)
-            Where a row has no whitened error it is zero; not a number where a run failed.
+        Where a row has no whitened error it is zero; not a number where a run failed.
         """
         out = np.empty_like(errors)
         for j, (sigma, ar, lags) in enumerate(zip(self.sigma, self.ar, self._lags, strict=True)):
@@ -107,6 +91,15 @@ class Metric:
             np.concatenate([w[s[:, j], j] for w, s in zip(white, scored, strict=True)])
             for j in range(len(self.sigma))
         ]
+
+
+def correlations(errors: FloatArray) -> FloatArray:
+    """Return the autocorrelation of each column of errors about its mean, from no lag on."""
+    columns = np.nan_to_num(errors - np.nanmean(errors, axis=0))
+    n = columns.shape[0]
+    power = np.abs(np.fft.rfft(columns, 2 * n, axis=0)) ** 2
+    size = np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    return np.asarray(np.fft.irfft(power, 2 * n, axis=0)[:n] / size)
 
 
 def raw_metric(outputs: Sequence[FloatArray]) -> Metric:

@@ -210,6 +210,12 @@ class Model(Displayed):
         """How many states are the model's; behind them are the parameters of records."""
         return len(self.states) - len(self.per_record)
 
+    @property
+    def trial(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+        """States, inputs and parameters at which its functions are tried."""
+        starts = tuple(float(p.start) for p in self.params.values())
+        return (0.1,) * len(self.states), (0.1,) * len(self.inputs), starts
+
     def with_record_parameters(self) -> Model:
         """Return the model whose parameters of records are states that stay as they start.
 
@@ -240,14 +246,14 @@ class Model(Displayed):
     @property
     def state_groups(self) -> dict[str, slice | int]:
         """Where in x each state of the user's is: a number, or the cells of a vector."""
-        names = enumerate(self.state_names[: self.own_states])
-        alone: dict[int, tuple[str, slice | int]] = {
-            i: (name, i) for i, name in names if i not in self.cells
-        }
-        spans: dict[int, tuple[str, slice | int]] = {
-            span.start: (name, span) for name, span in self.vectors.items()
-        }
-        return dict(group for _, group in sorted({**alone, **spans}.items()))
+        cells, starts = self.cells, {span.start: name for name, span in self.vectors.items()}
+        groups: dict[str, slice | int] = {}
+        for i, name in enumerate(self.state_names[: self.own_states]):
+            if i in starts:
+                groups[starts[i]] = self.vectors[starts[i]]
+            elif i not in cells:
+                groups[name] = i
+        return groups
 
     @property
     def cells(self) -> frozenset[int]:
@@ -389,10 +395,8 @@ def _check_functions(model: Model) -> None:
         _require(callable(function), part, f"a function of {signature}", f"{function!r}")
     if black_box:
         return
-    x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
-    p = tuple(float(parameter.start) for parameter in model.params.values())
     try:
-        dx, y = model.evaluate(0.0, x, u, p)
+        dx, y = model.evaluate(0.0, *model.trial)
     except Exception as error:
         raise InputError(
             "model: rhs and output",

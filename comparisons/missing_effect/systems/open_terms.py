@@ -10,20 +10,13 @@ from functools import lru_cache
 
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Number, SystemEffect
-from comparisons.missing_effect.systems.roles import (
-    Places,
-    alone,
-    always,
-    at_outputs,
-    every_signal,
-    fixed,
-    on,
-    on_products,
-    on_square_products,
-)
+from comparisons.missing_effect.systems.roles import PLACES, always, fixed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from surge_core.errors import InputError
 
+Expression = Callable[[Model], Callable[..., float]]
+# A name in a term that is no function's.
+NAME = re.compile(r"\b[^\W\d]\w*\b(?!\s*\()")
 _FUNCTIONS = {
     name: getattr(math, name) for name in ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt")
 } | {"abs": abs}
@@ -35,14 +28,14 @@ _NODES = (
 
 def _open(
     name: str,
-    kind: Kind,
     code: int,
+    places: str,
     equation: str,
-    places: Places,
     *,
+    kind: Kind = Kind.TERM,
     centred: bool = False,
     simple_form_of: tuple[str, ...] = (),
-    expression: Callable[[Model], Callable[..., float]] | None = None,
+    expression: Expression | None = None,
 ) -> SystemEffect:
     return SystemEffect(
         f"open_{name}",
@@ -51,7 +44,7 @@ def _open(
         equation,
         "a term without a name",
         (Number("c", -50.0, 50.0),),
-        places,
+        PLACES[places],
         fixed([0.0]),
         always,
         "",
@@ -62,24 +55,24 @@ def _open(
     )
 
 
-def _both(name: str, code: Term, equation: str, places: Places) -> tuple[SystemEffect, ...]:
+def _both(name: str, code: Term, places: str, equation: str) -> tuple[SystemEffect, ...]:
     """Return a term, and the same about the means of signals that keep their sign."""
     centred = f"centred_{name}"
     return (
-        _open(name, Kind.TERM, code, equation, places, simple_form_of=(f"open_{centred}",)),
-        _open(centred, Kind.TERM, code, equation, places, centred=True),
+        _open(name, code, places, equation, simple_form_of=(f"open_{centred}",)),
+        _open(centred, code, places, equation, centred=True),
     )
 
 
 # All terms up to degree three of one and two signals, and readings with a bend.
 OPEN_TERMS: tuple[SystemEffect, ...] = (
-    *_both("product", Term.PRODUCT, "+ c {s}·{o}", on_products),
-    *_both("square_product", Term.SQUARE_PRODUCT, "+ c {s}²·{o}", on_square_products),
-    _open("linear", Kind.TERM, Term.LINEAR, "+ c {s}", on(every_signal)),
-    *_both("square", Term.SQUARE, "+ c {s}²", on(every_signal)),
-    *_both("cube", Term.CUBE, "+ c {s}³", on(every_signal)),
-    _open("reading_square", Kind.OUTPUT_MAP, Map.SQUARE, "y + c y²", at_outputs),
-    _open("reading_cube", Kind.OUTPUT_MAP, Map.CUBE, "y + c y³", at_outputs),
+    *_both("product", Term.PRODUCT, "on_products", "+ c {s}·{o}"),
+    *_both("square_product", Term.SQUARE_PRODUCT, "on_square_products", "+ c {s}²·{o}"),
+    _open("linear", Term.LINEAR, "on_signals", "+ c {s}"),
+    *_both("square", Term.SQUARE, "on_signals", "+ c {s}²"),
+    *_both("cube", Term.CUBE, "on_signals", "+ c {s}³"),
+    _open("reading_square", Map.SQUARE, "at_outputs", "y + c y²", kind=Kind.OUTPUT_MAP),
+    _open("reading_cube", Map.CUBE, "at_outputs", "y + c y³", kind=Kind.OUTPUT_MAP),
 )
 
 
@@ -99,22 +92,12 @@ def open_effect(written: str, function: Callable[..., float] | None = None) -> S
     InputError
         When the text is no term; later, when a model has no signal of that name.
     """
-    if function is not None:
-        given = function
-        return _open(
-            written, Kind.TERM, Term.CALLED, f"+ c {written}", alone, expression=lambda _: given
-        )
-    tree = _parsed(written)
-
-    @lru_cache(maxsize=8)
-    def expression(model: Model) -> Callable[..., float]:
-        return _of_model(tree, written, model)
-
-    return _open(written, Kind.TERM, Term.CALLED, f"+ c {written}", alone, expression=expression)
+    expression = _expression(written) if function is None else lambda _: function
+    return _open(written, Term.CALLED, "alone", f"+ c {written}", expression=expression)
 
 
-def _parsed(written: str) -> ast.Expression:
-    """Return the tree of a term; refuse what is no arithmetic of names and numbers."""
+def _expression(written: str) -> Expression:
+    """Return a term as functions of (t, x, u, p); refuse what is no arithmetic of names."""
     text = written.replace("·", "*").replace("^", "**").replace("²", "**2").replace("³", "**3")
     # A space between two factors is a product: "x^2 v".
     text = re.sub(r"(?<=[\w)])\s+(?=[^\W\d])", "*", text.strip())
@@ -134,31 +117,19 @@ def _parsed(written: str) -> ast.Expression:
         bad_number = isinstance(node, ast.Constant) and type(node.value) not in (int, float)
         if bad_call or bad_number or not isinstance(node, _NODES):
             raise wrong
-    return tree
 
-
-def _of_model(tree: ast.Expression, written: str, model: Model) -> Callable[..., float]:
-    """Return a term as a function of (t, x, u, p) that can be compiled."""
-    homes = {
-        name: group
-        for group, names in (("x", model.states), ("u", model.inputs), ("p", model.params))
-        for name in names
-    }
-
-    class _Named(ast.NodeTransformer):
-        def visit_Call(self, node: ast.Call) -> ast.AST:
-            node.args = [self.visit(argument) for argument in node.args]
-            return node
-
-        def visit_Name(self, node: ast.Name) -> ast.AST:
-            if node.id not in homes:
+    @lru_cache(maxsize=8)
+    def of_model(model: Model) -> Callable[..., float]:
+        groups = (("x", model.states), ("u", model.inputs), ("p", model.params))
+        homes = {name: f"{group}.{name}" for group, names in groups for name in names}
+        for name in NAME.findall(text):
+            if name not in homes:
                 raise InputError(
-                    f"library: {written}", expected=", ".join(homes), found=f"'{node.id}'"
+                    f"library: {written}", expected=", ".join(homes), found=f"'{name}'"
                 )
-            home = ast.Name(homes[node.id], ast.Load())
-            return ast.copy_location(ast.Attribute(home, node.id, ast.Load()), node)
+        body = NAME.sub(lambda found: homes[found[0]], text)
+        # Only names of the model, numbers and the functions above reach this source.
+        made: Callable[..., float] = eval(f"lambda t, x, u, p: {body}", dict(_FUNCTIONS))
+        return made
 
-    body = ast.unparse(_Named().visit(ast.parse(ast.unparse(tree), mode="eval")))
-    # Only names of the model, numbers and the functions above reach this source.
-    made: Callable[..., float] = eval(f"lambda t, x, u, p: {body}", dict(_FUNCTIONS))
-    return made
+    return of_model

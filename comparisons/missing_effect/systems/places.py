@@ -14,8 +14,17 @@ from surge_core.types import FloatArray
 
 # How often the signal of an open term counts, in labels.
 RAISED = {Term.SQUARE: "²", Term.SQUARE_PRODUCT: "²", Term.CUBE: "³"}
+# What an effect sits at.
 AT_INPUTS = (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY)
 AT_OUTPUTS = (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG)
+AT = {
+    **dict.fromkeys((Kind.TERM, Kind.HYSTERESIS), "equation"),
+    **dict.fromkeys((Kind.STATE_LIMIT, Kind.OVERFLOW), "state"),
+    **dict.fromkeys(AT_INPUTS, "input"),
+    **dict.fromkeys(AT_OUTPUTS, "sensor"),
+    Kind.DRIFT: "parameter",
+    Kind.RECORDING: "channels",
+}
 
 
 def signal_names(model: Model) -> tuple[str, ...]:
@@ -25,17 +34,10 @@ def signal_names(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Number:
-    """One number of an effect, dimensionless inside.
+    """One number of an effect, dimensionless inside: bounds are in units of its scale.
 
-    Parameters
-    ----------
-    name : str
-        Symbol.
-    low, high : float
-        Bounds, in units of the scale. The sign of an effect is part of it: an amplitude that only
-        resists ends at zero.
-    held : bool
-        Whether it stays where the search started it.
+    The sign of an effect is part of it: an amplitude that only resists ends at zero. One that is
+    held stays where the search started it.
     """
 
     name: str
@@ -48,15 +50,9 @@ class Number:
 class Place:
     """Where an effect sits; −1 where something does not apply.
 
-    Parameters
-    ----------
-    at : int
-        The equation (a state), the input, the output or the parameter.
-    signal, other : int
-        What it acts on: states first, then inputs; and a second signal, or the state into which
-        an overflow spills.
-    sign : int
-        −1 in an equation where what resists the signal is added and not subtracted.
+    At an equation (a state), an input, an output or a parameter; on a signal, states first and then
+    inputs, and on another one, or on the state into which an overflow spills. The sign is −1 in an
+    equation where what resists the signal is added and not subtracted.
     """
 
     at: int
@@ -67,13 +63,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Neutral:
-    """What an effect is called where nothing moves: of a temperature, a voltage, a level.
-
-    Parameters
-    ----------
-    title, says, confirm : str
-        As of `SystemEffect`.
-    """
+    """What an effect is called where nothing moves: of a temperature, a voltage, a level."""
 
     title: str
     says: str
@@ -161,18 +151,8 @@ class SystemEffect:
 class Placed:
     """An effect at a place of a model, with the scales that make its numbers dimensionless.
 
-    Parameters
-    ----------
-    effect : SystemEffect
-        The effect.
-    place : Place
-        Where it sits.
-    scales : tuple of float
-        Of what it enters, of its signal, and of its second signal or its time.
-    starts : tuple of tuple of float
-        Where a search of its numbers starts.
-    centres : (float, float)
-        What its two signals count from.
+    Scales are those of what it enters, of its signal, and of its second signal or its time; centres
+    what its two signals count from; a search of its numbers has several starts.
     """
 
     effect: SystemEffect
@@ -224,26 +204,21 @@ class Placed:
 
     def where(self, model: Model) -> dict[str, str]:
         """Return its place in words: equation, signal, channel."""
-        signals = signal_names(model)
-        at, kind = self.place.at, self.effect.kind
-        names: dict[str, str] = {}
-        if kind in (Kind.TERM, Kind.HYSTERESIS):
-            names["equation"] = f"d{model.state_names[at]}/dt"
-        elif kind in AT_INPUTS:
-            names["input"] = model.input_names[at]
-        elif kind in AT_OUTPUTS:
-            names["sensor"] = model.output_names[at]
-        elif kind == Kind.DRIFT:
-            names["parameter"] = model.param_names[at]
-        elif kind == Kind.RECORDING:
-            names["channels"] = "all channels"
-        else:
-            names["state"] = model.state_names[at]
+        key, signals = AT[self.effect.kind], signal_names(model)
+        listed: dict[str, Sequence[str]] = {
+            "equation": [f"d{name}/dt" for name in model.state_names],
+            "state": model.state_names,
+            "input": model.input_names,
+            "sensor": model.output_names,
+            "parameter": model.param_names,
+            "channels": ("all channels",),
+        }
+        names = {key: listed[key][self.place.at]}
         if self.place.signal >= 0:
             names["signal"] = signals[self.place.signal]
         if self.place.other >= 0:
-            key = "into" if kind == Kind.OVERFLOW else "times"
-            names[key] = signals[self.place.other]
+            second = "into" if self.effect.kind == Kind.OVERFLOW else "times"
+            names[second] = signals[self.place.other]
         return names
 
     def label(self, model: Model) -> str:
@@ -252,18 +227,9 @@ class Placed:
         factors = [names[k] for k in ("signal", "times") if k in names]
         if factors and self.effect.unnamed and self.effect.kind == Kind.TERM:
             factors[0] += RAISED.get(Term(self.effect.code), "")
-        inner = "·".join(factors)
-        outer = next(
-            (
-                names[k]
-                for k in ("equation", "input", "sensor", "parameter", "state", "channels")
-                if k in names
-            ),
-            "",
-        )
-        into = f" into {names['into']}" if "into" in names else ""
-        joined = f"({inner}) in {outer}" if inner else f" of {outer}"
-        return f"{self.name}{joined}{into}"
+        outer = names[AT[self.effect.kind]]
+        joined = f"({'·'.join(factors)}) in {outer}" if factors else f" of {outer}"
+        return f"{self.name}{joined}" + (f" into {names['into']}" if "into" in names else "")
 
     def equation(self, model: Model) -> str:
         """Return what it adds, with the signals of its place and what they count from."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +14,7 @@ from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Placed
+from comparisons.missing_effect.systems.places import AT_OUTPUTS, Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
@@ -21,7 +22,22 @@ from surge_core.types import FloatArray
 
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
-POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE: 1, Term.GAP: 1}
+# Powers of the scales in which the numbers of an effect are given, slot by slot: of dx/dt that it
+# enters, of its own signal, of a second signal or a time, of the sample period, of half the span.
+ACTS_IN, ENTERS = (Kind.TERM, Kind.HYSTERESIS), {"into": 1, "second": -1}
+SLOTS_IN: dict[Kind, tuple[dict[str, int], ...]] = {
+    Kind.HYSTERESIS: (ENTERS, {"own": 1, "other": 1}),
+    Kind.DRIFT: ({"half": -1},),
+    Kind.RECORDING: ({"period": 1}, {"period": 2}),
+    **dict.fromkeys((Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.OUTPUT_LAG), ({"period": 1},)),
+}
+# How often its signal counts in a term, and in what it makes of a reading.
+POWERS = {
+    **dict.fromkeys((Term.LINEAR, Term.SIZE, Term.GAP, Term.PRODUCT, Term.CALLED), 1),
+    **dict.fromkeys((Term.SQUARE, Term.DRAG, Term.SQUARE_PRODUCT), 2),
+    Term.CUBE: 3,
+}
+READING_POWERS = {Map.SQUARE: -1, Map.CUBE: -2, Map.ABSOLUTE: 0}
 
 
 def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
@@ -61,18 +77,9 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
 def numbers_of(
     fit: Fit, placed: Placed, cov: FloatArray, clock: FloatArray
 ) -> tuple[FittedParameter, ...]:
-    """Return the numbers of one effect in physical units.
+    """Return the numbers of one effect of a fit in physical units, by the covariance of θ.
 
-    Parameters
-    ----------
-    fit : Fit
-        With the effect.
-    placed : Placed
-        The effect.
-    cov : ndarray
-        Covariance of θ.
-    clock : ndarray of shape (4,)
-        Of a run: sample period, and middle and half length of the records' span.
+    The clock of a run holds the sample period and the half length of the records' span.
     """
     model = fit.structure.model
     at = int(fit.structure.slots_of(placed)[0])
@@ -88,7 +95,7 @@ def numbers_of(
             factor *= placed.scales[0] / max(abs(float(fit.theta[placed.place.at])), 1e-300)
         value, variance = float(fit.theta[at + slot]), float(cov[at + slot, at + slot])
         out.append((number.name, factor * value, abs(factor) * float(np.sqrt(variance)), unit))
-    if placed.effect.linear and placed.effect.kind in (Kind.TERM, Kind.HYSTERESIS):
+    if placed.effect.linear and placed.effect.kind in ACTS_IN:
         out = _balanced(fit, placed, cov, out, at)
     return tuple(FittedParameter(n, float(v), float(e), u) for n, v, e, u in out)
 
@@ -123,50 +130,37 @@ def _balanced(
     return [(first, value * mass, stderr, whole), *numbers[1:]]
 
 
+def _powers(placed: Placed, slot: int) -> dict[str, int]:
+    """Return the powers of the scales in which one number is given; none for a share."""
+    kind, code = placed.effect.kind, placed.effect.code
+    slots = SLOTS_IN.get(kind, ({"own": 1},))
+    if kind == Kind.TERM:
+        second = code in (Term.PRODUCT, Term.SQUARE_PRODUCT)
+        first = {**ENTERS, "own": -POWERS.get(Term(code), 0), "other": -second}
+        slots = (first, {"own": 1})
+    elif kind == Kind.OUTPUT_MAP:
+        slots = ({"own": READING_POWERS.get(Map(code), 1)},)
+    return slots[slot] if slot < len(slots) else {}
+
+
 def _factor(model: Model, placed: Placed, slot: int, clock: FloatArray) -> tuple[float, str]:
     """Return the factor to physical units, and the unit, of one number."""
-    kind, code = placed.effect.kind, placed.effect.code
-    _, own, _ = placed.scales
-    period_s, half_s = float(clock[1]), float(clock[3])
-    if kind in (Kind.TERM, Kind.HYSTERESIS):
-        return _term_factor(model, placed, slot)
-    if kind in (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.OUTPUT_LAG):
-        return period_s, "s"
-    if kind == Kind.DRIFT:
-        return 1.0 / half_s, "1/s"
-    if kind == Kind.RECORDING:
-        return (period_s, "s") if slot == 0 else (period_s**2, "s²")
-    unit = _channel_unit(model, placed)
-    if kind == Kind.OUTPUT_MAP and code in (Map.SQUARE, Map.CUBE):
-        power = 1 if code == Map.SQUARE else 2
-        return own**-power, product_of_units((unit, -power))
-    number = slot > 0 or (kind == Kind.OUTPUT_MAP and code == Map.ABSOLUTE)
-    return (1.0, "1") if number else (own, unit)
-
-
-def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
-    """Return factor and unit of a number of a term in an equation."""
-    kind, code, place = placed.effect.kind, placed.effect.code, placed.place
+    effect, place = placed.effect, placed.place
     into, own, other, *_ = placed.floats
-    units = [*model.states.values(), *model.inputs.values()]
-    signal = units[place.signal] if place.signal >= 0 else "1"
-    enters = (units[place.at], 1), ("s", -1)
-    if kind == Kind.HYSTERESIS:
-        return (
-            (into, product_of_units(*enters)),
-            (own * other, product_of_units((signal, 1), ("s", 1))),
-            (1.0, "1"),
-        )[slot]
-    if slot > 0:
-        return (own, signal) if slot == 1 else (1.0, "1")
-    if code == Term.CALLED:
-        return into / own, product_of_units(*enters, (_unit_of_term(model, placed), -1))
-    if code in (Term.PRODUCT, Term.SQUARE_PRODUCT):
-        power = 1 if code == Term.PRODUCT else 2
-        unit = product_of_units(*enters, (signal, -power), (units[place.other], -1))
-        return into / (own**power * other), unit
-    power = POWERS.get(Term(code), 0)
-    return into / own**power, product_of_units(*enters, (signal, -power))
+    scales = {"into": into, "own": own, "other": other, "period": clock[1], "half": clock[3]}
+    signals = [*model.states.values(), *model.inputs.values()]
+    units = dict.fromkeys(("second", "other", "period", "half"), "s")
+    units["into"] = signals[place.at] if effect.kind in ACTS_IN else "1"
+    units["own"] = signals[place.signal] if place.signal >= 0 else "1"
+    if effect.kind in AT_OUTPUTS:
+        units["own"] = list(model.outputs.values())[place.at]
+    elif effect.expression is not None:
+        units["own"] = _unit_of_term(model, placed)
+    if effect.kind == Kind.TERM and place.other >= 0:
+        units["other"] = signals[place.other]
+    powers = {name: power for name, power in _powers(placed, slot).items() if power}
+    factor = math.prod(float(scales.get(name, 1.0)) ** power for name, power in powers.items())
+    return factor, product_of_units(*((units[name], power) for name, power in powers.items()))
 
 
 def _unit_of_term(model: Model, placed: Placed) -> str:
@@ -178,12 +172,3 @@ def _unit_of_term(model: Model, placed: Placed) -> str:
     if not names <= set(known) or re.search(r"[^\w\s^*/·²³]", written):
         return "1"
     return re.sub(r"[^\W\d]\w*", lambda name: f"({known[name[0]]})", written)
-
-
-def _channel_unit(model: Model, placed: Placed) -> str:
-    kind, at = placed.effect.kind, placed.place.at
-    if kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
-        return list(model.outputs.values())[at]
-    if kind in (Kind.STATE_LIMIT, Kind.OVERFLOW):
-        return str(list(model.states.values())[at])
-    return list(model.inputs.values())[at]

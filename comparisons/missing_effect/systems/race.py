@@ -10,9 +10,10 @@ import numpy as np
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
+from comparisons.missing_effect.systems.places import Place
 from comparisons.missing_effect.systems.score import Answers, Probe
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
 
 # Effects that make an input or a reading come late.
@@ -54,10 +55,8 @@ def promising(raw: Answers, white: Answers) -> list[Probe]:
     # The plain form of whatever is promising races beside it, and each half of a pair alone.
     wanted = {(e.name, e.place) for p in kept.values() for e in p.added}
     for probe in white.best():
-        placed = probe.placed
-        forms = {(name, placed.place) for name in placed.effect.simple_form_of}
-        half = any(p.second is not None and placed.key in p.key for p in kept.values())
-        if forms & wanted or half:
+        half = any(p.second is not None and probe.placed.key in p.key for p in kept.values())
+        if _plain_forms(probe) & wanted or half:
             kept.setdefault(probe.key, probe)
     return list(kept.values())
 
@@ -68,8 +67,7 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
     """
     lane = bench.raced()
-    white = metric_of(lane.fit.errors)
-    begun = {probe: _begun(lane, probe, white) for probe in probes}
+    begun = {probe: _begun(lane, probe) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
         return {}
@@ -81,29 +79,21 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
         by_own = sorted(group, key=lambda p: -own[p])[:FINALISTS]
         ahead += [p for p in group if p in by_size or p in by_own]
     forms = {(p.placed.name, p.placed.place) for p in ahead}
-    ahead += [
-        p
-        for p in begun
-        if p not in ahead
-        and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
-    ]
+    ahead += [p for p in begun if p not in ahead and _plain_forms(p) & forms]
     starts = {p: begun[p].starts if lane is bench else bench.fit.starts for p in ahead}
     return {
-        p: fit_runs(
-            begun[p].structure,
-            bench.train,
-            bench.raw,
-            begun[p].theta,
-            starts[p],
-            begun[p].scale,
-            most=MOST_ITERATIONS,
-        )
+        p: begun[p].again(bench.train, bench.raw, starts[p], most=MOST_ITERATIONS)
         for p in probes
         if p in ahead
     }
 
 
-def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
+def _plain_forms(probe: Probe) -> set[tuple[str, Place]]:
+    """Return what a probe is a plain form of, at its place."""
+    return {(name, probe.placed.place) for name in probe.placed.effect.simple_form_of}
+
+
+def _begun(bench: Bench, probe: Probe) -> Fit:
     """Fit a few steps from where the score test points, or from the best of several starts."""
     structure = bench.fit.structure
     for placed in probe.added:
@@ -173,17 +163,14 @@ def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.
     """
     from scipy.stats import norm
 
-    def again(f: Fit, runs: Sequence[Run], starts: Sequence[FloatArray]) -> Fit:
-        return fit_runs(f.structure, runs, metric, f.theta, starts, f.scale, most=STEPS)
-
-    name, rival = (again(f, lane.train, lane.fit.starts) for f in (name, rival))
+    name, rival = (f.again(lane.train, metric, lane.fit.starts, most=STEPS) for f in (name, rival))
     found, gaps = rival.cost - name.cost, []
     for _ in range(REPEATS if not rival.failed else 0):
         drawn = [
             replace(run, outputs=path.outputs + _drawn(errors, metric, rng))
             for run, path, errors in zip(lane.train, rival.paths, rival.errors, strict=True)
         ]
-        one, two = (again(f, drawn, f.starts) for f in (name, rival))
+        one, two = (f.again(drawn, metric, most=STEPS) for f in (name, rival))
         if np.isfinite(one.cost) and np.isfinite(two.cost):
             gaps.append(two.cost - one.cost)
     if len(gaps) < REPEATS // 2:

@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
+from comparisons.missing_effect.systems.metric import correlations
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rates_of
 from comparisons.missing_effect.systems.structure import Run
@@ -31,18 +32,10 @@ FIRST_ROWS, FIRST_ROWS_DOUBT, FEWEST_FIRST = 20, 3.0, 10
 
 @dataclass(frozen=True)
 class Records:
-    """Stretches of the training records.
+    """Stretches of the training records for a model.
 
-    Parameters
-    ----------
-    model : Model
-        What they are for.
-    whole : tuple of Experiment
-        The training records.
-    fitted, held_out : tuple of Experiment
-        Their first two thirds and last third, as far as naming uses them.
-    span : (float, float)
-        From the first to the last clock, in seconds.
+    Fitted and held out are the first two thirds and the last third of the whole records, as far as
+    naming uses them; the span is from the first to the last clock, in seconds.
     """
 
     model: Model
@@ -112,18 +105,9 @@ class Records:
 def runs_of(
     records: Records, experiments: Sequence[Experiment], between: str, *, begun: bool
 ) -> tuple[Run, ...]:
-    """Return stretches as runs.
+    """Return stretches of the training records as runs, inputs laid between samples.
 
-    Parameters
-    ----------
-    records : Records
-        The training records.
-    experiments : sequence of Experiment
-        Some of their stretches.
-    between : str
-        How inputs run between samples.
-    begun : bool
-        Whether they begin where the record does, so that what the model knows of its start holds.
+    Where they begin as the record does (``begun``), what the model knows of its start holds.
     """
     return tuple(
         Run.of(records.model, e, between, records.span, _known_start(records.model, e, begun=begun))
@@ -132,17 +116,9 @@ def runs_of(
 
 
 def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
-    """Return a check record as a run whose unknown starts are as large as in training.
+    """Return a check record as a run whose unknown starts are as large as in the fit in training.
 
-    Parameters
-    ----------
-    records : Records
-        The training records.
-    experiment : Experiment
-        The check record.
-    fit : Fit
-        To the training records: a few samples alone would give a hidden state, or a parameter
-        that is of each record, any value.
+    A few samples alone would give a hidden state, or a parameter that is of each record, any value.
     """
     model = records.model
     mean, sd = _known_start(model, experiment, begun=True)
@@ -162,9 +138,7 @@ def _rows_together(fit: Fit) -> float:
     """Return over how many rows errors of a fit go together: the sum of their correlations."""
     longest = 1.0
     for errors in fit.errors:
-        for column in np.nan_to_num(errors - np.nanmean(errors, axis=0)).T:
-            power = np.abs(np.fft.rfft(column, 2 * column.size)) ** 2
-            correlation = np.fft.irfft(power)[: column.size] / max(float(column @ column), 1e-300)
+        for correlation in correlations(errors).T:
             until = np.flatnonzero(correlation <= 0.0)
             whole = float(2.0 * np.sum(correlation[: until[0] if until.size else None]) - 1.0)
             longest = max(longest, whole)
@@ -174,10 +148,7 @@ def _rows_together(fit: Fit) -> float:
 def _known_start(
     model: Model, experiment: Experiment, *, begun: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is known of the state at the start, and its errors: infinite where nothing is.
-
-    Begun says whether the stretch begins where its record does.
-    """
+    """Return what is known of the state at the start, and its errors: infinite where nothing is."""
     mean, sd = np.zeros(len(model.states)), np.full(len(model.states), np.inf)
     measured = measured_as(model)
     for i, (j, factor) in rates_of(model).items():

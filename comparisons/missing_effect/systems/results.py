@@ -17,7 +17,7 @@ from comparisons.missing_effect.results import (
     Gap,
     MissingEffect,
 )
-from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.runs import CheckRun, rms
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import label_of
@@ -130,14 +130,17 @@ class SystemDiagnosis(Diagnosis):
         single = len(self.model.outputs) == 1
         measured = np.concatenate([run.measured[run.settle :] for run in runs])
         swing = np.ones(1) if single else np.nanstd(measured, axis=0)
+        # Over all rows of all outputs, each over its swing.
         before, after = (
-            _joined([run.errors(before=which) for run in runs], swing) for which in (True, False)
+            np.concatenate([run.errors(before=which) for run in runs]) / swing
+            for which in (True, False)
         )
         floor = np.asarray(self.floor, dtype=np.float64)
         floor_rms = float(np.sqrt(np.mean((floor / swing) ** 2))) if floor.size else math.nan
         unit = next(iter(self.model.outputs.values())) if single else SHARE_UNIT
         # The floor comes from the fitted records: the check records may be quieter.
-        return Gap(before, after, floor_rms, unit, 1.0)
+        sizes = rms(np.column_stack([before.ravel(), after.ravel()])).tolist()
+        return Gap(sizes[0], sizes[1], floor_rms, unit, 1.0)
 
     @cached_property
     def candidates(self) -> tuple[CandidateRow, ...]:
@@ -179,13 +182,6 @@ class SystemDiagnosis(Diagnosis):
         return "accepted" if c.accepted else "refused"
 
 
-def _joined(errors: Sequence[FloatArray], swing: FloatArray) -> float:
-    """Return the root mean square over all rows of all outputs, each over its swing."""
-    shares = np.concatenate(errors) / swing
-    kept = shares[np.isfinite(shares)]
-    return float(np.sqrt(np.mean(kept**2))) if kept.size else math.nan
-
-
 def residuals_of(
     check: CheckRun,
     effects: Sequence[MissingEffect] = (),
@@ -195,16 +191,8 @@ def residuals_of(
 ) -> Residuals:
     """Return the residuals of one output of a run, to be looked at over a signal.
 
-    Parameters
-    ----------
-    check : CheckRun
-        A run, simulated without and with what was added.
-    effects : sequence of MissingEffect
-        What was added: the signal of the first one whose signal is measured is looked at.
-    output : str, optional
-        Name of the output; the first without it.
-    model : Model, optional
-        Knows units, and which states are measured under another name.
+    Of the effects that were added, the signal of the first whose signal is measured is looked at.
+    The model knows units, and which states are measured under another name.
     """
     chosen = output or next(iter(check.outputs))
     column, scored = list(check.outputs).index(chosen), slice(check.settle, None)

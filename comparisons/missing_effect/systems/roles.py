@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import permutations
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def rates_of(model: Model) -> dict[int, tuple[int, float]]:
         return {}
     factors = []
     for seed in range(2):
-        x, dx, _ = map(np.array, zip(*_tries(model, seed), strict=True))
+        x, dx, _ = _tries(model, seed)
         ratio = dx[:, :, None] / x[:, None, :]
         with np.errstate(invalid="ignore"):
             same = np.ptp(ratio, axis=0) <= SAME * np.abs(ratio[0])
@@ -63,35 +64,27 @@ def stored_from(model: Model) -> dict[tuple[int, int], int]:
     """
     if model.simulate is not None:
         return {}
-    n = len(model.states)
-    signs: dict[tuple[int, int], set[int]] = {}
-    rng = np.random.default_rng(1)
+    n, rng, found = len(model.states), np.random.default_rng(1), []
     for p in (_middle(model, 0), _middle(model, 1)):
         x, u = rng.uniform(0.1, 1.0, n), tuple(rng.uniform(0.1, 1.0, len(model.inputs)).tolist())
-        slopes = np.array(
-            [
-                (_slope(model, x + step, u, p) - _slope(model, x - step, u, p)) / 2e-6
-                for step in 1e-6 * np.eye(n)
-            ]
-        ).T
-        sizes = np.max(np.abs(slopes), axis=1)
-        for i in range(n):
-            for j in (j for j in range(n) if j != i):
-                free = abs(slopes[i, i]) <= DEPENDS * sizes[i]
-                acts = abs(slopes[i, j]) > DEPENDS * sizes[i]
-                signs.setdefault((i, j), set()).add(int(np.sign(slopes[i, j])) * (free and acts))
-    return {pair: found.pop() for pair, found in signs.items() if found in ({1}, {-1})}
-
-
-def _slope(model: Model, x: FloatArray, u: tuple[float, ...], p: tuple[float, ...]) -> FloatArray:
-    return np.array(model.evaluate(0.3, tuple(x.tolist()), u, p)[0])
+        above, below = (
+            np.array([model.evaluate(0.3, tuple(row), u, p)[0] for row in x + by * np.eye(n)])
+            for by in (1e-6, -1e-6)
+        )
+        slopes = ((above - below) / 2e-6).T
+        acts = np.abs(slopes) > DEPENDS * np.max(np.abs(slopes), axis=1, keepdims=True)
+        # A state that matters to its own slope is no integral of any.
+        found.append(np.sign(slopes) * (acts & ~np.diag(acts)[:, None]))
+    one, other = found
+    pairs = np.argwhere((one == other) & (one != 0.0)).tolist()
+    return {(i, j): int(one[i, j]) for i, j in pairs if i != j}
 
 
 def measured_as(model: Model) -> dict[int, str]:
     """Return, for each state that is measured as it is, the output that measures it."""
     if model.simulate is not None:
         return {}
-    x, _, y = map(np.array, zip(*_tries(model), strict=True))
+    x, _, y = _tries(model)
     agree = np.all(np.abs(y[:, None, :] - x[:, :, None]) < SAME, axis=0)
     return {i: model.output_names[k] for i, k in np.argwhere(agree).tolist()}
 
@@ -99,23 +92,21 @@ def measured_as(model: Model) -> dict[int, str]:
 def _middle(model: Model, seed: int) -> tuple[float, ...]:
     """Return parameters well within their bounds: an offset that starts at zero would hide."""
     shares = np.random.default_rng(seed).uniform(0.3, 0.7, len(model.params))
-    return tuple(
-        float(q.low + share * (q.high - q.low))
-        for q, share in zip(model.params.values(), shares, strict=True)
-    )
+    given = zip(model.params.values(), shares, strict=True)
+    return tuple(float(q.low + share * (q.high - q.low)) for q, share in given)
 
 
 def _tries(
-    model: Model, seed: int = 0
-) -> list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]:
+    model: Model, seed: int = 0, *, driven: bool = True
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the model at a few points: states, their slopes, outputs."""
-    rng, p = np.random.default_rng(seed + 10), _middle(model, seed)
-    out = []
+    rng, p, out = np.random.default_rng(seed + 10), _middle(model, seed), []
     for _ in range(TRIES):
         x = tuple(rng.uniform(0.1, 1.0, len(model.states)).tolist())
-        u = tuple(rng.uniform(0.1, 1.0, len(model.inputs)).tolist())
-        out.append((x, *model.evaluate(0.3, x, u, p)))
-    return out
+        u = rng.uniform(0.1, 1.0, len(model.inputs)) * driven
+        out.append((x, *model.evaluate(0.3, x, tuple(u.tolist()), p)))
+    states, slopes, outputs = map(np.array, zip(*out, strict=True))
+    return states, slopes, outputs
 
 
 def physical(model: Model) -> tuple[int, ...]:
@@ -133,13 +124,8 @@ def _deflections(model: Model) -> set[int]:
     summed = {i for i, _ in stored_from(model)} - set(free_equations(model))
     if not summed:
         return set(rates_of(model))
-    p, rest = _middle(model, 0), (0.0,) * len(model.inputs)
-    inner = {
-        i
-        for i in summed
-        if all(model.evaluate(0.3, x, rest, p)[0][i] == dx[i] for x, dx, _ in _tries(model))
-    }
-    return inner | set(rates_of(model))
+    still = np.all(_tries(model)[1] == _tries(model, driven=False)[1], axis=0)
+    return {i for i in summed if still[i]} | set(rates_of(model))
 
 
 def displacements(model: Model) -> tuple[int, ...]:
@@ -154,23 +140,15 @@ def rates(model: Model) -> tuple[int, ...]:
     return tuple(i for i in physical(model) if i not in known)
 
 
-def angles(model: Model) -> tuple[int, ...]:
-    """Return the states that are angles in radians."""
-    return tuple(i for i, unit in enumerate(model.states.values()) if unit == "rad")
+def every_signal(model: Model) -> tuple[int, ...]:
+    """Return the signals that a term may act on: states, then inputs."""
+    n = len(model.states)
+    return (*physical(model), *range(n, n + len(model.inputs)))
 
 
 def on(signals: Callable[[Model], Sequence[int]]) -> Places:
     """Return places in every equation that is not exact, on some signals."""
-
-    def places(model: Model) -> tuple[Place, ...]:
-        return tuple(Place(i, s) for i in free_equations(model) for s in signals(model))
-
-    return places
-
-
-def on_own(model: Model) -> tuple[Place, ...]:
-    """Return every rate in its own equation: what resists a motion acts on that motion."""
-    return tuple(Place(i, i) for i in free_equations(model) if i in rates(model))
+    return lambda model: tuple(Place(i, s) for i in free_equations(model) for s in signals(model))
 
 
 def against_storing(model: Model) -> tuple[Place, ...]:
@@ -184,71 +162,44 @@ def against_storing(model: Model) -> tuple[Place, ...]:
     )
 
 
-def alone(model: Model) -> tuple[Place, ...]:
-    """Return every equation that is not exact, on no signal."""
-    return tuple(Place(i) for i in free_equations(model))
-
-
-def at_inputs(model: Model) -> tuple[Place, ...]:
-    """Return every input."""
-    n = len(model.states)
-    return tuple(Place(j, n + j) for j in range(len(model.inputs)))
-
-
-def at_outputs(model: Model) -> tuple[Place, ...]:
-    """Return every output."""
-    return tuple(Place(j) for j in range(len(model.outputs)))
-
-
-def at_parameters(model: Model) -> tuple[Place, ...]:
-    """Return every parameter."""
-    return tuple(Place(j) for j in range(len(model.params)))
-
-
-def everywhere(_: Model) -> tuple[Place, ...]:
-    """Return the one place of what is the same for all channels."""
-    return (Place(-1),)
-
-
-def at_states(model: Model) -> tuple[Place, ...]:
-    """Return every state on which something may act."""
-    return tuple(Place(i, i) for i in physical(model))
-
-
-def at_spills(model: Model) -> tuple[Place, ...]:
-    """Return every state that may spill: lost, or into each other state of the same unit."""
+def _at_spills(model: Model) -> tuple[Place, ...]:
     out = []
-    free = free_equations(model)
-    units = list(model.states.values())
+    free, units = free_equations(model), list(model.states.values())
     for i in (i for i in displacements(model) if i in free):
         out.append(Place(i, i, -1))
         out += [Place(i, i, j) for j in free if j != i and units[j] == units[i]]
     return tuple(out)
 
 
-def input_signals(model: Model) -> tuple[int, ...]:
-    """Return the inputs, as signals are numbered."""
-    n = len(model.states)
-    return tuple(range(n, n + len(model.inputs)))
-
-
-def every_signal(model: Model) -> tuple[int, ...]:
-    """Return the signals that a term may act on: states, then inputs."""
-    return (*physical(model), *input_signals(model))
-
-
-def on_products(model: Model) -> tuple[Place, ...]:
-    """Return places in every equation that is not exact, on each two signals."""
-    return tuple(place for place in on_square_products(model) if place.signal < place.other)
-
-
-def on_square_products(model: Model) -> tuple[Place, ...]:
-    """Return places in every equation that is not exact, on each two signals in either order."""
-    pairs = [(a, b) for a in every_signal(model) for b in every_signal(model) if a != b]
+def _on_square_products(model: Model) -> tuple[Place, ...]:
+    pairs = list(permutations(every_signal(model), 2))
     return tuple(Place(i, a, b) for i in free_equations(model) for a, b in pairs)
 
 
-on_displacements, on_rates, on_angles = on(displacements), on(rates), on(angles)
+# Where effects may sit, by the names that the catalogue has for it. Equations are those that are
+# not exact; what resists a motion acts on that motion; a level spills, lost or into another of its
+# unit; and what is the same for all channels has one place.
+PLACES: dict[str, Places] = {
+    "alone": lambda model: tuple(map(Place, free_equations(model))),
+    "on_own": lambda model: tuple(Place(i, i) for i in free_equations(model) if i in rates(model)),
+    "on_displacements": on(displacements),
+    "on_rates": on(rates),
+    "on_angles": on(lambda model: [i for i, u in enumerate(model.states.values()) if u == "rad"]),
+    "on_signals": on(every_signal),
+    "on_products": lambda model: tuple(
+        place for place in _on_square_products(model) if place.signal < place.other
+    ),
+    "on_square_products": _on_square_products,
+    "against_storing": against_storing,
+    "at_inputs": lambda model: tuple(
+        Place(j, len(model.states) + j) for j in range(len(model.inputs))
+    ),
+    "at_states": lambda model: tuple(Place(i, i) for i in physical(model)),
+    "at_spills": _at_spills,
+    "at_outputs": lambda model: tuple(map(Place, range(len(model.outputs)))),
+    "at_parameters": lambda model: tuple(map(Place, range(len(model.params)))),
+    "everywhere": lambda _: (Place(-1),),
+}
 
 
 def fixed(*starts: Sequence[float]) -> Starts:
@@ -274,13 +225,7 @@ def always(_: FloatArray, __: FloatArray) -> str:
 
 
 def both_signs(signal: FloatArray, _: FloatArray) -> str:
-    """Return why a signal does not change sign, or an empty text.
-
-    Parameters
-    ----------
-    signal : ndarray
-        Over its rms.
-    """
+    """Return why a signal, over its rms, does not change sign, or an empty text."""
     share = min(float(np.mean(signal > SIDE)), float(np.mean(signal < -SIDE)))
     return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
 
@@ -288,13 +233,8 @@ def both_signs(signal: FloatArray, _: FloatArray) -> str:
 def blind_to_sign(simulated: FloatArray, reading: FloatArray) -> str:
     """Return why a sensor cannot be blind to a sign, or an empty text.
 
-    What is read must change its sign, as the model has it, and the reading must not.
-
-    Parameters
-    ----------
-    simulated, reading : ndarray
-        Output of the model, and what was measured, over their rms. Noise may take a few readings
-        below zero.
+    What is read must change its sign, as the model has it, and the reading must not, but for a few
+    that noise takes below zero. Both are over their rms.
     """
     if float(np.mean(reading < -SIDE)) > LEAST_SIDE_SHARE:
         return "needs a reading that stays on one side of zero"

@@ -7,7 +7,7 @@ is held against the errors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.linearised import Laid
-from comparisons.missing_effect.systems.metric import Metric
-from comparisons.missing_effect.systems.places import (
-    AT_INPUTS,
-    AT_OUTPUTS,
-    Place,
-    Placed,
-    SystemEffect,
-    rms,
-)
+from comparisons.missing_effect.systems.metric import Metric, correlations
+from comparisons.missing_effect.systems.places import AT_OUTPUTS, Place, Placed, SystemEffect, rms
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.structure import Run
@@ -51,20 +44,10 @@ INSIDE = (Kind.TERM, Kind.HYSTERESIS, Kind.STATE_LIMIT, Kind.OVERFLOW)
 
 @dataclass(frozen=True)
 class Probe:
-    """What one effect at one place promises, or two together.
+    """What one effect at one place promises, from the start that promises most.
 
-    Parameters
-    ----------
-    placed : Placed
-        The effect.
-    start : tuple of float
-        The start that promises most.
-    amplitude : float
-        How much of it the errors ask for, by first order.
-    gain : float
-        Log-units that it would win.
-    second : Probe, optional
-        A second effect that wins them together with it.
+    The errors ask for so much of it, the amplitude, by first order, and it would win its gain in
+    log-units; together with a second effect, if there is one.
     """
 
     placed: Placed
@@ -93,16 +76,8 @@ class Probe:
 class Answers:
     """First-order answers to effects in a metric, free of what is fitted already.
 
-    Parameters
-    ----------
-    probes : tuple of Probe
-        One a column.
-    columns : ndarray of shape (n, K)
-        Of unit length.
-    error : ndarray of shape (n,)
-        Whitened errors; n counts the rows of all outputs of all runs.
-    block : ndarray of int, shape (n,)
-        Block of each row, for flips of sign.
+    Columns, (n, K), are of unit length, one a probe; n counts the rows of all outputs of all runs.
+    Errors are whitened; each row is in a block, for flips of sign.
     """
 
     probes: tuple[Probe, ...]
@@ -144,16 +119,13 @@ class Answers:
         both = np.where(open_[:, None] == open_[None, :], both, 0.0)
         alone = np.array([self.probes[k].gain for k in pool])
         extra = both - np.maximum(alone[:, None], alone[None, :])
+        ranked = np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)
         out: list[Probe] = []
-        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[
-            : 4 * most
-        ]:
-            i, j = divmod(int(at), len(pool))
-            one, two = self.probes[pool[i]], self.probes[pool[j]]
+        for i, j in (divmod(int(at), len(pool)) for at in ranked[: 4 * most]):
             if i >= j or not extra[i, j] > least or len(out) == most:
                 continue
-            if alone[j] > alone[i]:
-                one, two, i, j = two, one, j, i
+            first_two = sorted((i, j), key=lambda k: -alone[k])
+            one, two = (self.probes[pool[k]] for k in first_two)
             out.append(replace(one, gain=float(both[i, j]), second=two))
         return out
 
@@ -175,29 +147,15 @@ class Answers:
 
 
 class Prober:
-    """Score tests against a fitted model.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model, fitted to the runs.
-    runs : sequence of Run
-        The runs.
-    """
+    """Score tests against a model, fitted to runs."""
 
     def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
-        self.fit = fit
-        self.runs = tuple(runs)
-        structure = fit.structure
-        unknowns = structure.free.size + len(structure.model.states)
+        self.fit, self.runs = fit, tuple(runs)
         self._made: dict[object, list[FloatArray]] = {}
         self._along = fit.linearised(self.runs)
-        self._nuisance = [one.to_numbers(structure.free)[:, :, :unknowns] for one in self._along]
-
-    def columns(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
-        """Return how the outputs would answer, one array of shape (n, n_y) a run."""
-        self._lay([(placed, start)])
-        return self._made[placed.key, start]
+        free = fit.structure.free
+        unknowns = free.size + len(fit.structure.model.states)
+        self._nuisance = [one.to_numbers(free)[:, :, :unknowns] for one in self._along]
 
     def _lay(self, laid: Sequence[Laid]) -> None:
         """Make the columns that are not there yet, some at a time, once for all metrics."""
@@ -215,30 +173,28 @@ class Prober:
         basis = self._basis(own)
         error = error - basis @ (basis.T @ error)
         probes, columns = [], []
-        self._lay([(placed, start) for placed in effects for start in placed.starts])
-        for placed in effects:
-            for start in placed.starts:
-                with np.errstate(invalid="ignore"):
-                    column = _joined([own.whitened(c) for c in self._made[placed.key, start]])
-                if not np.all(np.isfinite(column)):
-                    continue
-                whole = float(column @ column)
-                column = column - basis @ (basis.T @ column)
-                size = float(column @ column)
-                if not size > LEAST_OWN_SHARE * whole:
-                    continue
-                along = float(column @ error)
-                gain = 0.5 * along**2 / size if placed.effect.allows(along) else 0.0
-                probes.append(Probe(placed, start, along / size, gain))
-                columns.append(column / np.sqrt(size))
+        laid = [(placed, start) for placed in effects for start in placed.starts]
+        self._lay(laid)
+        for placed, start in laid:
+            with np.errstate(invalid="ignore"):
+                column = _joined([own.whitened(c) for c in self._made[placed.key, start]])
+            if not np.all(np.isfinite(column)):
+                continue
+            whole = float(column @ column)
+            column = column - basis @ (basis.T @ column)
+            size = float(column @ column)
+            if not size > LEAST_OWN_SHARE * whole:
+                continue
+            along = float(column @ error)
+            gain = 0.5 * along**2 / size if placed.effect.allows(along) else 0.0
+            probes.append(Probe(placed, start, along / size, gain))
+            columns.append(column / np.sqrt(size))
         joined = np.column_stack(columns) if columns else np.zeros((error.size, 0))
         return Answers(tuple(probes), joined, error, self._blocks(own))
 
     def _blocks(self, metric: Metric) -> NDArray[np.int64]:
         """Return a block of each row: twenty rows, or twice as many as the errors remember."""
-        remembered = max(
-            _memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma))
-        )
+        remembered = _memory(metric.whitened(max(self.fit.errors, key=len)))
         out, first = [], 0
         for e in self.fit.errors:
             rows = max(FLIPPED_ROWS, min(2 * remembered, e.shape[0] // FEWEST_FLIPPED))
@@ -266,12 +222,8 @@ def placed_effects(
 ) -> tuple[list[Placed], dict[str, str]]:
     """Return all effects at all their places, scaled by the model's runs.
 
-    Returns
-    -------
-    placed : list of Placed
-        Those that the signals can show and that the model has not.
-    refused : dict of str to str
-        Effects that cannot be shown at any place, and why.
+    Placed are those that the signals can show and that the model has not; the others are effects
+    that cannot be shown at any place, and why.
     """
     signals = _Signals(fit, runs)
     present = {e.key for e in fit.structure.effects}
@@ -301,50 +253,36 @@ class _Signals:
     """Signals and equations along the runs of a model, for scales."""
 
     def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
-        n_x = len(fit.structure.model.states)
-        self.model = fit.structure.model
-        self.theta = fit.theta
-        every = [path.states[::FINE, :n_x] for path in fit.paths]
-        self.states = np.concatenate(every)
-        names = self.model.input_names
-        self.inputs = np.concatenate([run.experiment.columns(names) for run in runs])
+        self.model, self.theta = fit.structure.model, fit.theta
+        self.n_x = len(self.model.states)
+        every = [path.states[::FINE, : self.n_x] for path in fit.paths]
+        inputs = [run.experiment.columns(self.model.input_names) for run in runs]
+        # States and then inputs, as signals are numbered.
+        self.signals = np.column_stack([np.concatenate(every), np.concatenate(inputs)])
         self.outputs = np.concatenate([run.outputs for run in runs])
         self.simulated = np.concatenate([path.outputs for path in fit.paths])
         h = runs[0].sample_period_s
-        self.slopes = np.concatenate([np.gradient(x, h, axis=0) if n_x else x for x in every])
+        slopes = [np.gradient(x, h, axis=0) if self.n_x else x for x in every]
+        self.slopes = np.concatenate(slopes)
 
     def of(self, effect: SystemEffect, place: Place) -> tuple[FloatArray, FloatArray]:
         """Return the signal that an effect acts on in the model, and as it was measured."""
         if effect.kind in AT_OUTPUTS:
             measured = self.outputs[:, place.at]
             return self.simulated[:, place.at], measured[np.isfinite(measured)]
-        if effect.kind in AT_INPUTS:
-            values = self.inputs[:, place.at]
-        elif effect.expression is not None:
-            values = self._expression(effect)
+        # Constants, drifts and the recorder act on no signal that could be at fault.
+        values = np.array([1.0, -1.0])
+        if effect.expression is not None:
+            values = self._term(effect.expression(self.model))
         elif place.signal >= 0:
-            values = self._signal(place.signal)
-        else:
-            # Constants, drifts and the recorder act on no signal that could be at fault.
-            values = np.array([1.0, -1.0])
+            values = self.signals[:, place.signal]
         return values, values
 
-    def _signal(self, index: int) -> FloatArray:
-        n_x = self.states.shape[1]
-        return self.states[:, index] if index < n_x else self.inputs[:, index - n_x]
-
-    def _expression(self, effect: SystemEffect) -> FloatArray:
-        assert effect.expression is not None
-        function = effect.expression(self.model)
+    def _term(self, function: Callable[..., float]) -> FloatArray:
         p = tuple(self.theta[: len(self.model.params)].tolist())
-        rows = range(0, len(self.states), max(1, len(self.states) // SIZED_ROWS))
-        return np.array(
-            [
-                function(0.0, *self.model.groups(tuple(self.states[k]), tuple(self.inputs[k]), p))
-                for k in rows
-            ],
-            dtype=np.float64,
-        )
+        rows = self.signals[:: max(1, len(self.signals) // SIZED_ROWS)]
+        given = [self.model.groups(tuple(r[: self.n_x]), tuple(r[self.n_x :]), p) for r in rows]
+        return np.array([function(0.0, *groups) for groups in given], dtype=np.float64)
 
     def placed(
         self, effect: SystemEffect, place: Place, starts: tuple[tuple[float, ...], ...]
@@ -354,7 +292,7 @@ class _Signals:
         if not effect.centred:
             return one
         indices = (place.signal, place.other)
-        signals = [self._signal(i) if i >= 0 else np.zeros(1) for i in indices]
+        signals = [self.signals[:, i] if i >= 0 else np.zeros(1) for i in indices]
         centres = [float(np.mean(s)) if np.min(s) * np.max(s) > 0.0 else 0.0 for s in signals]
         if not any(centres):
             return None
@@ -374,23 +312,15 @@ class _Signals:
             own = 1.0
         if effect.kind == Kind.HYSTERESIS:
             return into, own, own / rms(self.slopes[:, place.signal])
-        other = rms(self._signal(place.other)) if place.other >= 0 else 1.0
+        other = rms(self.signals[:, place.other]) if place.other >= 0 else 1.0
         return into, own, other
 
 
-def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
-    """Return the rows over which whitened errors of one output go together."""
-    longest = max(errors, key=len)
-    columns = np.zeros((longest.size, len(metric.sigma)))
-    columns[:, output] = longest
-    white = metric.whitened(columns)[:, output]
-    size = int(2 ** np.ceil(np.log2(2 * white.size)))
-    power = np.abs(np.fft.rfft(white - white.mean(), size)) ** 2
-    correlation = np.fft.irfft(power, size)[: white.size]
+def _memory(white: FloatArray) -> int:
+    """Return the rows over which whitened errors go together, of the output where they do most."""
+    correlation = correlations(white)[: len(white) // FEWEST_FLIPPED]
     # The last lag that still remembers, not the first zero: errors of a resonance swing about it.
-    large = np.flatnonzero(
-        np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0]
-    )
+    large = np.flatnonzero(np.any(np.abs(correlation) > REMEMBERED, axis=1))
     return int(large[-1]) + 1 if large.size else 1
 
 

@@ -64,16 +64,9 @@ class Map(IntEnum):
 
 @kernel
 def term_value(code: int, s: float, other: float, a: float, b: float) -> float:
-    """Return the shape of a term.
+    """Return the shape of a term, one of `Term`, of a signal over its rms and a second one.
 
-    Parameters
-    ----------
-    code : int
-        One of `Term`.
-    s, other : float
-        The signal over its rms, and a second one for products.
-    a, b : float
-        Shape parameters: the width ε of a change of sign, a threshold, Stribeck's speed.
+    The numbers a and b are the width of a change of sign, a threshold, Stribeck's excess.
     """
     value = 1.0
     if code == 1:
@@ -105,16 +98,10 @@ def term_value(code: int, s: float, other: float, a: float, b: float) -> float:
 
 @kernel
 def map_value(code: int, value: float, scale: float, a: float) -> float:
-    """Return what stands in place of an input or of a sensor's reading.
+    """Return what stands in place of an input or of a sensor's reading: one of `Map`.
 
-    Parameters
-    ----------
-    code : int
-        One of `Map`.
-    value, scale : float
-        The signal and its rms.
-    a : float
-        Parameter, in units of the rms; the exponent of a reading that is blind to the sign.
+    The number a is in units of the signal's rms, its scale; of a reading that is blind to the sign
+    it is the exponent.
     """
     at = a * scale
     out = value

@@ -7,22 +7,23 @@ method tries.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 
+from comparisons.missing_effect.kernels import lag_pass
 from comparisons.missing_effect.systems.dynamics import (
     PLAY_SAMPLES,
-    SLOTS,
     System,
-    extended_output,
-    extended_rhs,
+    along,
+    extended,
     scratch_for,
 )
-from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
+from comparisons.missing_effect.systems.places import AT_INPUTS, Placed
+from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind, map_value
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
@@ -39,22 +40,19 @@ LONGEST_STEP = 3.0
 # Steps a point, beyond which a run is given up.
 MOST_STEPS = 50
 MOST_MEGABYTES = 4000
+# Parts of what the integrator hands on.
+PARTS = 7
+# Of a lag, in points of the fine grid.
+LEAST_LAG = 1e-3
 # What a black box that fails for some parameters may raise.
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
 
 @dataclass(frozen=True)
 class Path:
-    """A simulated run.
+    """A simulated run: its states on the fine grid, and its outputs at the samples.
 
-    Parameters
-    ----------
-    states : ndarray of shape (FINE·(n − 1) + 1, n_X)
-        On the fine grid.
-    outputs : ndarray of shape (n, n_y)
-        At the samples; NaN throughout when the run failed.
-    failed : bool
-        Whether the state ran away or the integrator gave up.
+    A run has failed where the state ran away or the integrator gave up: its outputs are NaN.
     """
 
     states: FloatArray
@@ -71,22 +69,10 @@ def path_of(
     *,
     first: bool = False,
 ) -> Path:
-    """Simulate a run.
+    """Simulate a run from its state at the first sample.
 
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        Inputs and clock.
-    theta : ndarray
-        Parameters, offsets, effects.
-    start : ndarray of shape (n_X,)
-        State at the first sample.
-    scale : ndarray of shape (n_X,)
-        Size of each state, for the tolerance.
-    first : bool
-        Whether the sizes are not known yet, so that no state can be said to run away.
+    The scale is the size of each state, for the tolerance; at first it is not known yet, so that
+    no state can be said to run away.
     """
     if structure.model.simulate is not None:
         return black_box_path(structure, run, theta, start)
@@ -94,15 +80,15 @@ def path_of(
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
     bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
     system = run.system(structure, theta)
-    packed = np.concatenate([run.clock, bound, theta, system[2]])
     tolerances = structure.tolerance, structure.tolerance * np.asarray(scale, dtype=np.float64)
     states = None
     for method in METHODS if np.all(np.isfinite(start)) else ():
-        states = _integrated(method, times, start, packed, tolerances, system)
+        states = _integrated(method, times, start, bound, tolerances, system)
         if states is not None:
             break
     if states is not None:
-        outputs = structure.recorded(outputs_along(states, system), theta)
+        seen = along(states[::FINE].copy(), np.zeros(0), system, 1)[1]
+        outputs = structure.recorded(seen, theta)
         if np.all(np.isfinite(outputs)):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
@@ -137,38 +123,27 @@ def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
     return np.concatenate(out)
 
 
-@njit(cache=True, error_model="numpy")
-def outputs_along(states: FloatArray, system: System) -> FloatArray:
-    """Return the outputs at the samples of a run on the fine grid, shape (n, n_y)."""
-    n = (states.shape[0] - 1) // FINE + 1
-    out, scratch = np.empty((n, system[1][5])), scratch_for(system[1])
-    for k in range(n):
-        extended_output(k * system[4][1], states[FINE * k], system, out[k], scratch)
-    return out
-
-
-@cfunc(types.void(NUMBERS, types.float64, NUMBERS, INTEGERS), cache=True)
+@cfunc(types.void(NUMBERS, types.float64, NUMBERS, NUMBERS), cache=True)
 def _slope(out: Any, t: float, state: Any, given: Any) -> None:
-    """Fill dX/dt; not a number where the state has run away, so that the integrator gives up."""
-    n = given[0]
-    ints = carray(integers_at(given[1]), (given[2],))
-    packed = carray(numbers_at(given[3]), (given[4],))
-    pieces = carray(numbers_at(given[5]), (given[6], given[7], 4))
-    X = carray(state, (n,))
-    gone = False
-    for i in range(n):
-        if not abs(X[i]) <= packed[4 + i]:
-            gone = True
-    if gone:
-        for i in range(n):
-            out[i] = np.nan
-        return
-    at = 4 + n
-    n_theta = ints[4] + ints[3] + SLOTS * ints[7]
-    theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
-    scratch = carray(numbers_at(given[8]), (given[9],))
-    dX = carray(out, (n,))
-    extended_rhs(t, X, (theta, ints, floats, pieces, packed[:4]), dX, scratch)
+    """Fill dX/dt; not a number where the state has run away, so that the integrator gives up.
+
+    Given are the ends of the parts behind them: bounds of the states, what makes up the system,
+    and working space.
+    """
+    ends = carray(given, (PARTS,))
+    whole = carray(given, (int(ends[PARTS - 1]),))
+    bound, theta = whole[PARTS : int(ends[0])], whole[int(ends[0]) : int(ends[1])]
+    ints = whole[int(ends[1]) : int(ends[2])].view(np.int64)
+    floats, clock = whole[int(ends[2]) : int(ends[3])], whole[int(ends[3]) : int(ends[4])]
+    pieces = whole[int(ends[4]) : int(ends[5])]
+    laid = pieces.reshape((ints[3], pieces.size // max(4 * ints[3], 1), 4))
+    X, dX = carray(state, (bound.size,)), carray(out, (bound.size,))
+    for i in range(bound.size):
+        if not abs(X[i]) <= bound[i]:
+            dX[:] = np.nan
+            return
+    scratch = whole[int(ends[5]) :]
+    extended(t, X, (theta, ints, floats, laid, clock), False, dX, scratch)
 
 
 def _at(array: Any) -> tuple[int, int]:
@@ -179,22 +154,20 @@ def _integrated(
     method: str,
     times: FloatArray,
     start: FloatArray,
-    packed: FloatArray,
+    bound: FloatArray,
     tolerances: tuple[float, FloatArray],
     system: System,
 ) -> FloatArray | None:
     """Return the states at evenly spaced times, or None where a method gives up."""
     from CyRK.nb import numba_solver as cyrk
 
-    # The callback gets one block of bytes: the addresses of everything else.
-    _, ints, _, pieces, _ = system
-    scratch = scratch_for(ints)
-    sizes = pieces.shape[:2]
-    where = [*_at(ints), *_at(packed), pieces.ctypes.data, *sizes, *_at(scratch)]
-    given = np.array([start.size, *where], dtype=np.int64)
+    theta, ints, floats, pieces, clock = system
+    parts = [bound, theta, ints.view(np.float64), floats, clock, pieces.ravel(), scratch_for(ints)]
+    ends = PARTS + np.cumsum([part.size for part in parts], dtype=np.float64)
+    # The integrator takes a copy of it.
+    given = np.concatenate([ends, *parts])
     begun = np.array(start, dtype=np.float64)
     relative, absolute = np.array(tolerances[:1]), tolerances[1]
-    step_s = float(times[1] - times[0])
     result = cyrk.c_numba_cysolve_ivp(
         _slope.address,
         float(times[0]),
@@ -211,7 +184,7 @@ def _integrated(
         *(0, 0, 0),
         *_at(relative),
         *_at(absolute),
-        LONGEST_STEP * step_s,
+        LONGEST_STEP * float(times[1] - times[0]),
         0.0,
         True,
     )
@@ -232,7 +205,6 @@ def _black_box_outputs(
     """Return the outputs of a black box, not a number where it failed, from its record's start."""
     from scipy.interpolate import CubicSpline
 
-    model = structure.model
     effects = [(placed, theta[structure.slots_of(placed)]) for placed in structure.effects]
     inputs = _inputs(structure, run, theta, effects)
     drifts = [
@@ -243,25 +215,23 @@ def _black_box_outputs(
     t = run.sample_period_s * np.arange(run.n_samples, dtype=np.float64)
     # A drift is slow: at each time the outputs are those of a run with the parameters as they are
     # then, between three runs.
-    outputs = np.zeros(run.outputs.shape)
-    along: FloatArray = (t + run.clock[0] - run.clock[2]) / run.clock[3]
-    for node in (-1.0, 0.0, 1.0) if drifts else (0.0,):
-        p = theta[: len(model.params)].copy()
+    outputs, nodes = np.zeros(run.outputs.shape), (-1.0, 0.0, 1.0) if drifts else (0.0,)
+    along = (t + run.clock[0] - run.clock[2]) / run.clock[3]
+    for node in nodes:
+        p = theta[: len(structure.model.params)].copy()
         for at, rate in drifts:
             p[at] += rate * node
-        share: FloatArray = np.ones(t.size)
-        for other in (-1.0, 0.0, 1.0) if drifts else ():
-            if other != node:
-                share = share * (along - other) / (node - other)
+        between = ((along - other) / (node - other) for other in nodes if other != node)
+        share = math.prod(between, start=np.ones(t.size))
         outputs += share[:, None] * _simulated(structure, t, inputs, p, start)
+    rows = np.arange(t.size, dtype=np.float64)
     for placed, slots in effects:
         j = placed.place.at
         if placed.effect.kind == Kind.OUTPUT_MAP:
-            outputs[:, j] = _mapped(placed, outputs[:, j], slots)
+            outputs[:, j] = _behind(placed, slots, outputs[:, j])
         elif placed.effect.kind == Kind.OUTPUT_LAG and np.all(np.isfinite(outputs)):
-            rows = np.arange(t.size, dtype=np.float64)
             finer = CubicSpline(rows, outputs[:, j])(np.arange(FINE * (t.size - 1) + 1) / FINE)
-            outputs[:, j] = _lagged(finer, FINE * float(slots[0]))[::FINE]
+            outputs[:, j] = _behind(placed, slots, finer)[::FINE]
     return outputs
 
 
@@ -302,37 +272,34 @@ def _inputs(
     out = np.empty((len(structure.model.inputs), times.size))
     per_sample = 4 if structure.between == "band" else 1
     for j in range(out.shape[0]):
-        late = float(theta[len(structure.model.params) + j]) + sum(
-            float(slots[0])
+        own = [
+            (placed, slots)
             for placed, slots in effects
-            if placed.effect.kind == Kind.INPUT_DELAY and placed.place.at == j
+            if placed.effect.kind in AT_INPUTS and placed.place.at == j
+        ]
+        late = float(theta[structure.offsets][j]) + sum(
+            float(slots[0]) for placed, slots in own if placed.effect.kind == Kind.INPUT_DELAY
         )
         at = (times - late) * per_sample
         i = np.clip(np.floor(at).astype(np.int64), 0, pieces.shape[1] - 1)
         s = np.clip(at - i, 0.0, 1.0)
         c = pieces[j, i].T
         out[j] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-    for placed, slots in effects:
-        j, kind = placed.place.at, placed.effect.kind
-        if kind == Kind.INPUT_MAP:
-            out[j] = _mapped(placed, out[j], slots)
-        elif kind == Kind.INPUT_LAG:
-            out[j] = _lagged(out[j], FINE * float(slots[0]))
-        elif kind == Kind.INPUT_PLAY:
-            out[j] = _followed(out[j], float(slots[0]) * placed.scales[1])
+        for placed, slots in own:
+            out[j] = _behind(placed, slots, out[j])
     return out[:, ::FINE]
 
 
-def _mapped(placed: Placed, values: FloatArray, slots: FloatArray) -> FloatArray:
-    return _all_mapped(placed.effect.code, values, placed.scales[1], float(slots[0]))
-
-
-@njit(cache=True, error_model="numpy")
-def _all_mapped(code: int, values: FloatArray, scale: float, a: float) -> FloatArray:
-    out = np.empty(values.size)
-    for k in range(values.size):
-        out[k] = map_value(code, values[k], scale, a)
-    return out
+def _behind(placed: Placed, slots: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what goes through an effect at a channel; lags and plays are on the fine grid."""
+    kind, own, a = placed.effect.kind, placed.scales[1], float(slots[0])
+    if kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP):
+        code = placed.effect.code
+        return np.array([map_value(code, value, own, a) for value in values.tolist()])
+    if kind in (Kind.INPUT_LAG, Kind.OUTPUT_LAG):
+        every = np.array([[0, values.size]])
+        return lag_pass(values[:, None], max(FINE * a, LEAST_LAG), 1.0, every)[:, 0]
+    return _followed(values, a * own) if kind == Kind.INPUT_PLAY else values
 
 
 @njit(cache=True, error_model="numpy")
@@ -345,14 +312,3 @@ def _followed(values: FloatArray, gap: float) -> FloatArray:
         now += share * (max(off - gap, 0.0) + min(off + gap, 0.0))
         out[k] = now
     return out
-
-
-def _lagged(values: FloatArray, tau: float) -> FloatArray:
-    """Return values behind a first-order lag of τ samples, straight between samples."""
-    from scipy.signal import lfilter
-
-    kept = float(np.exp(-1.0 / max(tau, 1e-3)))
-    share = max(tau, 1e-3) * (1.0 - kept)
-    taps = [1.0 - share, share - kept]
-    # At rest at the first value.
-    return np.asarray(lfilter(taps, [1.0, -kept], values, zi=share * values[:1])[0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.systems.compiled import compiled, expression_address
+from comparisons.missing_effect.systems.compiled import compiled, compiled_term
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
 from comparisons.missing_effect.systems.experiments import Experiment, all_pass, input_pieces
 from comparisons.missing_effect.systems.model import Model
@@ -26,21 +26,11 @@ RELATIVE_STEP, HELD_STEP = 1e-5, 0.5
 
 @dataclass(frozen=True)
 class Structure:
-    """A model and the effects in it.
+    """A model as the user wrote it, the effects in it in order, its inputs between samples.
 
-    Parameters
-    ----------
-    model : Model
-        As the user wrote it.
-    effects : tuple of Placed
-        In order.
-    between : str
-        How inputs run between samples.
-    tolerance : float
-        Relative tolerance of the integrator, well below the noise of the outputs.
-    offsets_free : bool
-        Whether the timing offsets of the inputs are fitted. They show in the fast part of the
-        errors alone: they come from fits in a whitening metric and are held in raw ones.
+    The relative tolerance of the integrator is well below the noise of the outputs. The timing
+    offsets of the inputs show in the fast part of the errors alone: they come from fits in a
+    whitening metric, where they are free, and are held in raw ones.
     """
 
     model: Model
@@ -81,7 +71,8 @@ class Structure:
         rows, own = [], len(model.states)
         for placed in self.effects:
             effect, place = placed.effect, placed.place
-            address = expression_address(model, effect.expression) if effect.expression else 0
+            term = effect.expression
+            address = int(compiled_term(model, term).address) if term else 0
             rows += [effect.kind, effect.code, place.at, place.signal, place.other, own, address]
             own += effect.own_state
         out = np.array([*head, *rows], dtype=np.int64)
@@ -94,39 +85,38 @@ class Structure:
         return np.array([value for e in self.effects for value in e.floats], dtype=np.float64)
 
     @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of θ; equal where a number is held or a slot empty."""
-        low = [parameter.low for parameter in self.model.params.values()]
-        high = [parameter.high for parameter in self.model.params.values()]
+    def _numbers(self) -> list[tuple[float, float, bool]]:
+        """Return the bounds of each number of θ, and whether it is held; an empty slot is."""
+        rows = [(p.low, p.high, False) for p in self.model.params.values()]
         # Beside a delay of the same input an offset says the same once more.
         late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
-        offsets = [0.0 if j in late else MOST_OFFSET for j in range(len(self.model.inputs))]
-        low += [-offset for offset in offsets]
-        high += offsets
+        for j in range(len(self.model.inputs)):
+            most = 0.0 if j in late else MOST_OFFSET
+            rows.append((-most, most, not self.offsets_free or j in late))
         for placed in self.effects:
             numbers = placed.effect.numbers
-            low += [n.low for n in numbers] + [0.0] * (SLOTS - len(numbers))
-            high += [n.high for n in numbers] + [0.0] * (SLOTS - len(numbers))
-        return np.array(low), np.array(high)
+            rows += [(n.low, n.high, held) for n, held in zip(numbers, placed.held, strict=True)]
+            rows += [(0.0, 0.0, True)] * (SLOTS - len(numbers))
+        return rows
 
     @property
-    def start_bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the model's states at a start: only parameters of records have any."""
-        own = [(-np.inf, np.inf)] * self.model.own_states
-        both = [*own, *((p.low, p.high) for p in self.model.per_record.values())]
-        low, high = np.array(both).reshape(-1, 2).T
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of θ."""
+        low, high = np.array([row[:2] for row in self._numbers]).reshape(-1, 2).T
         return low, high
 
     @property
     def free(self) -> IntArray:
         """Which numbers of θ are fitted."""
-        held = [False] * len(self.model.params)
-        late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
-        held += [not self.offsets_free or j in late for j in range(len(self.model.inputs))]
-        for placed in self.effects:
-            numbers = placed.effect.numbers
-            held += [*placed.held, *[True] * (SLOTS - len(numbers))]
-        return np.flatnonzero(~np.array(held))
+        return np.flatnonzero([not held for *_, held in self._numbers])
+
+    @property
+    def start_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the model's states at a start: only parameters of records have any."""
+        own = [(-np.inf, np.inf)] * self.model.own_states
+        own += [(p.low, p.high) for p in self.model.per_record.values()]
+        low, high = np.array(own).reshape(-1, 2).T
+        return low, high
 
     def steps(self, theta: FloatArray) -> FloatArray:
         """Return steps of θ for differences: a small share of its size, or of its range."""
@@ -172,27 +162,16 @@ class Structure:
 
     def slots(self, start: tuple[float, ...]) -> FloatArray:
         """Return the slots of one effect, filled from a start."""
-        out = np.zeros(SLOTS)
-        out[: len(start)] = start
-        return out
+        return np.array([*start, *[0.0] * (SLOTS - len(start))], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
     """One stretch of an experiment as the kernels take it.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The stretch.
-    outputs : ndarray of shape (n, n_y)
-        Measured outputs; not a number where there is no reading.
-    pieces : ndarray of shape (n_u, m, 4)
-        Inputs between samples.
-    clock : ndarray of shape (4,)
-        Clock of the first sample, sample period, middle and half length of all records' span.
-    x0_mean, x0_sd : ndarray of shape (n_x,)
-        What is known of the model's states at the start.
+    Measured outputs, (n, n_y), are not a number where there is no reading; pieces, (n_u, m, 4), are
+    the inputs between samples; the clock holds that of the first sample, the sample period, middle
+    and half length of all records' span. Of the states at the start mean and error are known.
     """
 
     experiment: Experiment

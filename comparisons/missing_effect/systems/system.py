@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.evidence import Rows, Tie
 from comparisons.missing_effect.lag_data import LATER, TRAIN
-from comparisons.missing_effect.systems.bench import BETTER_BETWEEN, Bench, growth_of, whitened_fit
+from comparisons.missing_effect.systems.bench import BETTER_BETWEEN, Bench
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
@@ -25,6 +26,7 @@ from comparisons.missing_effect.systems.race import (
 )
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
 
 BLOCKS = 60
@@ -58,36 +60,17 @@ LEAST_LOST = 12.0
 
 
 @dataclass(frozen=True, eq=False)
-class ModelSystem(System[Placed, Fit]):
-    """A user's model.
+class ModelSystem(Bench, System[Placed, Fit]):
+    """A user's model on its bench, in the metric of a round or in that of its own errors.
 
-    Parameters
-    ----------
-    bench : Bench
-        The model that stands so far, and the records.
-    metric : Metric, optional
-        Of the round; that of the model's own errors without it.
-    n_places : int
-        Places that are searched.
-    chances : (float, float)
-        Log-units that the best of them wins by chance, in the metric and in plain errors.
+    Of the places that are searched the best wins ``chances`` log-units by chance, in the metric and
+    in plain errors.
     """
 
-    bench: Bench
     metric: Metric | None = None
     n_places: int = 1
     chances: tuple[float, float] = (0.0, 0.0)
     policy: Policy = MODELS
-
-    @property
-    def fit(self) -> Fit:
-        """The model, in the raw metric."""
-        return self.bench.fit
-
-    @property
-    def failed(self) -> bool:
-        """Whether the model could not be simulated."""
-        return self.bench.fit.failed
 
     @property
     def colour(self) -> Metric:
@@ -97,47 +80,48 @@ class ModelSystem(System[Placed, Fit]):
     @cached_property
     def base(self) -> Fit:
         """The model, fitted in the metric."""
-        return whitened_fit(self.bench, self.fit, self.colour)
+        return self.whitened(self.fit, self.colour)
 
     @cached_property
     def base_errors(self) -> FloatArray:
         """Its whitened errors: all outputs, fitted rows and then those held out."""
-        return _errors(self.bench, self.colour, self.base)
+        return self._errors(self.colour, self.base)
 
     @cached_property
     def rows(self) -> Rows:
         """Which rows are fitted and held out, and their blocks."""
-        return _rows(self.bench, self.colour)
+        return self._rows(self.colour)
 
     @cached_property
     def growth(self) -> float:
         """By how many powers of e small changes of the state grow."""
-        return growth_of(self.fit, self.bench)
+        return self.growth_of(self.fit)
 
     def tried(
         self, effects: Sequence[SystemEffect], library: Sequence[SystemEffect]
     ) -> Tried[Placed, Fit]:
         """Race what is promising, and fit in the metric of whom the held-out rows favour."""
-        bench, fit = self.bench, self.fit
-        placed, refused = placed_effects(fit, bench.train, [*effects, *library])
-        prober = Prober(fit, bench.train)
-        raw, white = prober.laid(placed, bench.raw), prober.laid(placed, metric_of(fit.errors))
-        fits = raced(bench, promising(raw, white))
-        metric, rng = favoured_metric(bench, list(fits.values())), np.random.default_rng(FLIP_SEED)
+        fit = self.fit
+        placed, refused = placed_effects(fit, self.train, [*effects, *library])
+        prober = Prober(fit, self.train)
+        raw, white = prober.laid(placed, self.raw), prober.laid(placed, metric_of(fit.errors))
+        fits = raced(self, promising(raw, white))
+        metric, rng = favoured_metric(self, list(fits.values())), np.random.default_rng(FLIP_SEED)
         chances = prober.laid(placed, metric).chance(rng), raw.chance(rng)
         tried = [
-            Candidate(p.added, whitened_fit(bench, first, metric), promised=p.gain, onward=first)
+            Candidate(p.added, self.whitened(first, metric), promised=p.gain, onward=first)
             for p, first in fits.items()
         ]
         keys = {candidate.keys for candidate in tried}
         others = [
             Candidate(p.added, fit, promised=p.gain) for p in white.best() if p.key not in keys
         ]
-        return Tried(ModelSystem(bench, metric, len(placed), chances), tried, others, refused)
+        system = replace(self, metric=metric, n_places=len(placed), chances=chances)
+        return Tried(system, tried, others, refused)
 
     def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
         """Return whitened errors of all outputs; no phase is fitted anywhere."""
-        return _errors(self.bench, self.colour, fit), (0.0, 0.0)
+        return self._errors(self.colour, fit), (0.0, 0.0)
 
     def searched(self, added: Sequence[Placed]) -> float:
         """Return how many places were tried."""
@@ -150,77 +134,76 @@ class ModelSystem(System[Placed, Fit]):
     def judged(self, candidate: ModelCandidate) -> ModelCandidate:
         """Say of a candidate whether it vanished or grows, and what it wins in plain errors."""
         raw = candidate.onward
-        wild = raw is not None and growth_of(raw, self.bench) > self.growth + MOST_GROWTH
+        wild = raw is not None and self.growth_of(raw) > self.growth + MOST_GROWTH
         ended = wild or any(_vanished(candidate, i) for i in range(len(candidate.added)))
         evidence = replace(candidate.evidence, chance=self.chances[0], at_end=ended)
         return replace(
             candidate, evidence=evidence, slow=self._slow(raw), outgrown=_outgrown(candidate)
         )
 
-    def with_winner(self, step: ModelRound) -> ModelSystem:
+    def with_winner(self, step: ModelRound) -> Self:
         """Return the model with what a round found, its inputs laid between samples again."""
         assert step.winner is not None
-        moved = self.bench.with_winner(step.winner.fit, step.winner.onward)
-        return ModelSystem(moved.between_chosen())
+        return self.with_better(step.winner.fit, step.winner.onward).between_chosen()
 
-    def without_needless(self, one: Placed) -> ModelSystem | None:
+    def refitted(self, structure: Structure, theta: FloatArray) -> Self:
+        """Return it with another model, in the metric of its own errors again."""
+        moved = super().refitted(structure, theta)
+        return replace(moved, metric=None, n_places=1, chances=(0.0, 0.0))
+
+    def without_needless(self, one: Placed) -> Self | None:
         """Return the model without an effect that those found later made needless.
 
         One that stood in for what came after wins less than its numbers cost, and its absence
         makes the plain held-out error no larger.
         """
-        bench, structure, own = self.bench, self.fit.structure, metric_of(self.fit.errors)
-        moved = bench.refitted(
-            structure.without(one), np.delete(bench.fit.theta, self.fit.structure.slots_of(one))
-        )
-        moved = replace(moved, white=None)
-        lost = whitened_fit(moved, moved.fit, own).cost - self._own_cost
-        n = sum(np.count_nonzero(np.isfinite(errors)) for errors in bench.fit.errors)
+        structure, n = self.fit.structure, sum(np.isfinite(e).sum() for e in self.fit.errors)
+        theta = np.delete(self.fit.theta, structure.slots_of(one))
+        moved = replace(self.refitted(structure.without(one), theta), white=None)
+        lost = self._cost(moved.fit) - self._own_cost
         same = moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN
         needless = same and lost < 0.5 * one.brings * np.log(n)
-        return ModelSystem(moved) if needless else None
+        return moved if needless else None
 
     def stand_ins(
         self, one: Placed, step: ModelRound | None, effects: Sequence[SystemEffect]
     ) -> tuple[ModelCandidate, ...]:
         """Return those of a round's alias set that stand beside all that was found later."""
-        found = [placed.key for placed in self.found]
         if step is None or step.winner is None or step.winner.added[0].key != one.key:
             return ()
-        kept = [step.winner]
-        for c in step.aliases[1:]:
-            if len(c.added) > 1 or c.added[0].key in found:
-                continue
-            effects_then = [c.added[0] if e.key == one.key else e for e in self.found]
-            structure = replace(self.fit.structure, effects=tuple(effects_then))
-            theta = self.fit.theta.copy()
-            theta[self.fit.structure.slots_of(one)] = c.fit.theta[-SLOTS:]
-            swapped = self.bench.refitted(structure, theta)
-            bare, own = replace(self.bench, white=None), metric_of(self.fit.errors)
-            if whitened_fit(bare, swapped.fit, own).cost < self._own_cost + LEAST_LOST:
-                kept.append(c)
-        return tuple(kept)
+        found = [placed.key for placed in self.found]
+        others = [c for c in step.aliases[1:] if len(c.added) == 1 and c.added[0].key not in found]
+        kept = [
+            c for c in others if self._cost(self._swapped(one, c)) < self._own_cost + LEAST_LOST
+        ]
+        return (step.winner, *kept)
+
+    def _swapped(self, one: Placed, other: ModelCandidate) -> Fit:
+        """Return the model with a candidate in the place of what was found."""
+        effects = tuple(other.added[0] if e.key == one.key else e for e in self.found)
+        theta = self.fit.theta.copy()
+        theta[self.fit.structure.slots_of(one)] = other.fit.theta[-SLOTS:]
+        return self.refitted(replace(self.fit.structure, effects=effects), theta).fit
 
     def rejected(self, winner: ModelCandidate, rival: ModelCandidate) -> float:
         """Return the chance of a winner's advantage if its rival were the truth (Cox)."""
         rng = np.random.default_rng(FLIP_SEED)
-        return rejected(winner.fit, rival.fit, self.bench.raced(), self.colour, rng)
+        return rejected(winner.fit, rival.fit, self.raced(), self.colour, rng)
 
-    def held_out_size(self) -> float:
-        """Return the plain error on held-out rows."""
-        return self.bench.held_out_size()
+    def _cost(self, fit: Fit) -> float:
+        """Return what a raw fit costs in the metric of the model's own errors."""
+        return replace(self, white=None).whitened(fit, metric_of(self.fit.errors)).cost
 
     @cached_property
     def _own_cost(self) -> float:
-        """Cost of the model in the metric of its own errors, from its raw fit."""
-        bare = replace(self.bench, white=None)
-        return whitened_fit(bare, self.fit, metric_of(self.fit.errors)).cost
+        """What the model itself costs there."""
+        return self._cost(self.fit)
 
     @cached_property
     def _plain(self) -> tuple[Metric, Rows, FloatArray]:
         """The raw metric with the size of the model's errors, its rows, and those errors."""
-        plain = self.bench.raw.with_size_of(self.fit.errors)
-        return plain, _rows(self.bench, plain), _errors(self.bench, plain, self.fit)
+        plain = self.raw.with_size_of(self.fit.errors)
+        return plain, self._rows(plain), self._errors(plain, self.fit)
 
     def _slow(self, raw: Fit | None) -> float:
         """Return the log-units that a candidate wins in plain errors; 0 where chance does.
@@ -231,7 +214,7 @@ class ModelSystem(System[Placed, Fit]):
         if raw is None or raw.failed:
             return 0.0
         plain, rows, before = self._plain
-        gain = 0.5 * (before**2 - _errors(self.bench, plain, raw) ** 2)
+        gain = 0.5 * (before**2 - self._errors(plain, raw) ** 2)
         shares = []
         for part in (TRAIN, LATER):
             here = rows.of_part(part)
@@ -240,6 +223,26 @@ class ModelSystem(System[Placed, Fit]):
         won = float(gain[rows.valid].sum())
         fair = min(shares) > LEAST_SLOW_SHARE and shares[1] > HELD_OUT_SHARE * shares[0]
         return won if fair and won > self.chances[1] else 0.0
+
+    def _errors(self, metric: Metric, fit: Fit) -> FloatArray:
+        """Return whitened errors of all outputs, fitted rows and then those held out."""
+        later = settled(fit, self.later, metric)
+        runs = (*fit.errors, *later.errors)
+        with np.errstate(invalid="ignore"):
+            white = np.concatenate([metric.whitened(e) for e in runs])
+        # A run that could not be simulated loses everywhere.
+        return np.asarray(np.where(np.isfinite(white), white, RAN_AWAY).T.ravel(), dtype=np.float64)
+
+    def _rows(self, metric: Metric) -> Rows:
+        part, valid = [], []
+        for value, runs in ((TRAIN, self.train), (LATER, self.later)):
+            for run in runs:
+                part.append(np.full(run.n_samples, value, dtype=np.int8))
+                valid.append(metric.scored(run.outputs))
+        n_y = len(metric.sigma)
+        total = sum(p.size for p in part)
+        block = max(LEAST_BLOCK_ROWS, total // BLOCKS)
+        return Rows.of(np.tile(np.concatenate(part), n_y), np.concatenate(valid).T.ravel(), block)
 
 
 def _vanished(candidate: ModelCandidate, which: int) -> bool:
@@ -264,25 +267,3 @@ def _outgrown(candidate: ModelCandidate) -> bool:
     shapes = candidate.fit.theta[-SLOTS:][1 : len(effect.numbers)]
     bounds = [number.high for number in effect.numbers[1:]]
     return any(value >= high * (1.0 - 1e-6) for value, high in zip(shapes, bounds, strict=True))
-
-
-def _errors(bench: Bench, metric: Metric, fit: Fit) -> FloatArray:
-    """Return whitened errors of all outputs, fitted rows and then those held out."""
-    later = settled(fit, bench.later, metric)
-    runs = (*fit.errors, *later.errors)
-    with np.errstate(invalid="ignore"):
-        white = np.concatenate([metric.whitened(e) for e in runs])
-    # A run that could not be simulated loses everywhere.
-    return np.asarray(np.where(np.isfinite(white), white, RAN_AWAY).T.ravel(), dtype=np.float64)
-
-
-def _rows(bench: Bench, metric: Metric) -> Rows:
-    part, valid = [], []
-    for value, runs in ((TRAIN, bench.train), (LATER, bench.later)):
-        for run in runs:
-            part.append(np.full(run.n_samples, value, dtype=np.int8))
-            valid.append(metric.scored(run.outputs))
-    n_y = len(metric.sigma)
-    total = sum(p.size for p in part)
-    block = max(LEAST_BLOCK_ROWS, total // BLOCKS)
-    return Rows.of(np.tile(np.concatenate(part), n_y), np.concatenate(valid).T.ravel(), block)

@@ -11,7 +11,7 @@ import system_models as make
 import system_truths as truth
 from scipy.signal import lfilter
 
-from comparisons.missing_effect.systems.bench import base_bench
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.experiments import Experiment, all_pass
 from comparisons.missing_effect.systems.fit import settled
@@ -64,14 +64,14 @@ def test_each_record_has_a_value_of_its_own() -> None:
 def test_a_value_of_a_record_keeps_its_bounds() -> None:
     zero = P(0.0, -5.0, 5.0, "N", per_record=True)
     model = biased_body(params={**make.body().params, "zero": zero})
-    bench = base_bench(Records.of(model, [record("one", 1, 6.0)]))
+    bench = Bench.of(Records.of(model, [record("one", 1, 6.0)]))
     assert bench.fit.starts[0][2] == 5.0
 
 
 def test_a_check_begins_from_the_values_of_the_training_records() -> None:
     """With no row of its own a check has their mean, as far as they scatter."""
     records = Records.of(biased_body(), [record(n, i, z) for i, (n, z) in enumerate(ZEROS.items())])
-    fit = base_bench(records).fit
+    fit = Bench.of(records).fit
     run = check_run(records, record("check", 7, 2.0).of(records.model), fit)
     assert run.x0_mean[2] == pytest.approx(-1.5, abs=0.5)
     # The errors are white: what is known weighs as much as one row in one.
@@ -81,7 +81,7 @@ def test_a_check_begins_from_the_values_of_the_training_records() -> None:
     assert held.x0_sd[2] == pytest.approx(run.x0_sd[2] / np.sqrt(50.0), rel=0.4)
     there = settled(fit, [run], raw_metric([run.outputs]), rows=100)
     assert there.starts[0][2] == pytest.approx(2.0, abs=0.5)
-    cov = covariance(fit, base_bench(records).train, raw_metric([run.outputs]))
+    cov = covariance(fit, Bench.of(records).train, raw_metric([run.outputs]))
     assert cov.shape == (fit.theta.size + 2,) * 2
 
 
