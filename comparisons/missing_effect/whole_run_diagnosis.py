@@ -22,6 +22,7 @@ from comparisons.missing_effect.results import SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
+    FEWEST_TWINS,
     SHAPED,
     Nulls,
     Progress,
@@ -158,11 +159,11 @@ def _decided(
             name = "rms" if effect.name in SHAPED else effect.parameters[0].name
             absent.append(Absent(effect.name, name, null.decided_from, null.unit))
             continue
-        seen, matters = (size_words(v, null.unit) for v in (null.decided_from, null.matters))
-        why = (
-            f"measured twins of this record show that it is seen from {seen} on, and {matters} "
-            "would matter"
-        )
+        why = f"fewer than {FEWEST_TWINS} twins of this record could be measured"
+        if np.isfinite(null.decided_from):
+            seen = size_words(null.decided_from, null.unit)
+            why = f"measured twins of this record show that it is seen from {seen} on"
+        why = f"{why}, and {size_words(null.matters, null.unit)} would matter"
         untold.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
     return tuple(untold), tuple(absent)
 
