@@ -16,6 +16,7 @@ import numpy as np
 
 from comparisons.missing_effect.evidence import (
     ALIAS,
+    LEAST_Z,
     NOT_FITTED,
     Evidence,
     Rows,
@@ -165,11 +166,11 @@ class Candidate(Generic[A, F]):
         """Whether it wins in plain errors what chance does not, here and on held-out rows.
 
         Chance is that of single effects: pairs are too many for it. The fast part of the errors
-        must not speak against it.
+        must not speak against it, beyond the scatter of the held-out blocks.
         """
         e = self.evidence
-        won = e.train + e.later > 0.0 and not e.at_end
-        return self.slow > 0.0 and won and len(self.added) == 1
+        against = e.train <= 0.0 or e.z < -LEAST_Z
+        return self.slow > 0.0 and not (against or e.at_end) and len(self.added) == 1
 
 
 class System(ABC, Generic[A, F]):

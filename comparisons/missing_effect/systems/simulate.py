@@ -33,6 +33,8 @@ from surge_core.types import FloatArray
 # its signal.
 FINE = 4
 RUNAWAY = 1e4
+# Beyond it a square is no number any more.
+LARGEST = 1e150
 METHODS = ("LSODA", "RADAU")
 # Longest step, in points of the grid (four a sample): the integrator must not stride over a pulse
 # of the input after a quiet stretch.
@@ -78,7 +80,7 @@ def path_of(
         return black_box_path(structure, run, theta, start)
     fine_s = run.sample_period_s / FINE
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
-    bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
+    bound = np.full(start.size, LARGEST) if first else RUNAWAY * (scale + np.abs(start))
     system = run.system(structure, theta)
     tolerances = structure.tolerance, structure.tolerance * np.asarray(scale, dtype=np.float64)
     states = None
@@ -89,7 +91,7 @@ def path_of(
     if states is not None:
         seen = along(states[::FINE].copy(), np.zeros(0), system, 1)[1]
         outputs = structure.recorded(seen, theta)
-        if np.all(np.isfinite(outputs)):
+        if np.all(np.abs(outputs) < LARGEST):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
     return Path(empty, np.full(run.outputs.shape, np.nan), True)
@@ -100,7 +102,7 @@ def black_box_path(structure: Structure, run: Run, theta: FloatArray, start: Flo
     rows = FINE * (run.n_samples - 1) + 1
     states = np.tile(start[: len(structure.model.states)], (rows, 1))
     outputs = structure.recorded(_black_box_outputs(structure, run, theta, start), theta)
-    failed = not np.all(np.isfinite(outputs))
+    failed = not np.all(np.abs(outputs) < LARGEST)
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
 
 
