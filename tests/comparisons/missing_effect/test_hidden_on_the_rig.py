@@ -144,6 +144,14 @@ def test_the_null_holds_what_noise_alone_explains() -> None:
     assert 0.5 < rms_left(bench) / nulls.rms < 2.0
 
 
+def test_too_few_twins_decide_nothing_and_give_no_number() -> None:
+    late = find_effect("transport_delay")
+    d = diagnose([rig_series("985")], catalogue=[late], n_twins=1)
+    assert not d.absent
+    assert [row.effect for row in d.untold] == [late.name]
+    assert "seen from" not in d.untold[0].why
+
+
 @needs_independent
 def test_the_other_rig_s_record_lacks_the_loss_in_reversed_flow_alone(
     altered: Callable[[str | None], Diagnosis],
