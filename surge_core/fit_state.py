@@ -162,7 +162,8 @@ class FitState(StrEnum):
     DOES_NOT_CYCLE = (
         "does_not_cycle",
         "simulated, the model settles or runs away instead of cycling: use more cycles, and look "
-        "for clipped signals, a transient, or channels shifted in time against each other",
+        "for clipped signals, a transient, or channels shifted in time against each other; "
+        "`sindy-surge total-system` fits the loop to the raw counts",
     )
     CYCLES_DIFFER = (
         "cycles_differ",

@@ -18,6 +18,7 @@ from surge_core.rounding import round_to_error
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
+TIES_NAMED = 4
 NO_TAU = (
     "no τ of this table is to be quoted, that of the best row included: the pressures were "
     "low-passed before the flow equation, which biases it. `sindy-surge compare` "
@@ -63,7 +64,9 @@ def _lines(table: OrderTable, *, biased: bool) -> list[str]:
         _best(table) if biased else f"recommended: {table.recommended.name}: {table.reason}"
     )
     if len(table.ties) > 1:
-        lines.append("no worse within an error: " + "; ".join(row.name for row in table.ties[1:]))
+        ties = [row.name for row in table.ties[1:]]
+        more = [f"{len(ties) - TIES_NAMED} more"] if len(ties) > TIES_NAMED else []
+        lines.append("no worse within an error: " + "; ".join([*ties[:TIES_NAMED], *more]))
     if biased:
         lines += textwrap.wrap(NO_TAU, 100)
     return lines

@@ -27,7 +27,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         found = analyse(given.raw, given.test, twins=twins, begin=begin, progress=working)
         begin("drawing the page")
         pages = report_pages([run_section(found)])
-        drawn = page(f"Surge record {given.raw.name}", pages)
+        drawn = page(f"Surge test: {found.reduction.test.name}", pages)
         numbers = to_strict_json(run_document(found))
     given.out.mkdir(parents=True, exist_ok=True)
     write_series(found.reduction.series, paths["series"])

@@ -94,8 +94,10 @@ def _test_line(comparison: Comparison, name: str = "") -> str:
     found = [r.Nc_frac[0] for r in comparison.records if r.Nc_frac is not None]
     speeds = dict.fromkeys(f"{100.0 * speed:.1f} %" for speed in found)
     speed = f" at {' and '.join(speeds)} speed" if speeds else ""
+    # A series of φ and ψ' alone does not say where it is in stall.
+    of = "in stall" if any(r.phi_unfiltered is not None for r in comparison.records) else "of rows"
     return (
-        f"{names}{speed}: {counted(rows.n_segments, 'interval')} in stall, {rows.phi.size} rows at "
+        f"{names}{speed}: {counted(rows.n_segments, 'interval')} {of}, {rows.phi.size} rows at "
         f"{1.0 / rows.sample_period_s:g} Hz"
     )
 

@@ -59,8 +59,10 @@ class FoundStructure(Displayed):
 
     @property
     def refused(self) -> bool:
-        """Whether the whole runs hold no lag, so that there is no equation either."""
-        return self.fitted_to == "whole runs" and math.isnan(self.fit.time_constant_s_)
+        """Whether whole runs hold no lag, or the rows do not bear the coefficients found."""
+        if self.fitted_to == "whole runs":
+            return math.isnan(self.fit.time_constant_s_)
+        return not np.all(np.isfinite(self.fit.summary().parts.stderr))
 
     @property
     def state(self) -> tuple[str, str]:

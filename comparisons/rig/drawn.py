@@ -17,6 +17,7 @@ import numpy as np
 from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.sensors import SensorSettings
 from comparisons.rig.simulation import RigRun, simulate, write_run
+from surge_core.errors import InputError
 
 # With fewer reversals of the flow a machine does not surge, and another is drawn.
 FEWEST_REVERSALS = 8
@@ -47,7 +48,11 @@ def draw_run(
     curve has beside its parabola; without it one in four has a bell.
     """
     while True:
-        run, about = _machine(rng, speed, shape)
+        try:
+            run, about = _machine(rng, speed, shape)
+        except InputError:
+            # A machine that does not stay finite is none.
+            continue
         phi = run.truth["phi"]
         if np.count_nonzero((phi[1:] < 0.0) & (phi[:-1] >= 0.0)) >= FEWEST_REVERSALS:
             return run, about

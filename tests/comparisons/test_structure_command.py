@@ -118,3 +118,16 @@ def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFi
     assert found["terms"] == []
     assert "no structure (blowdown)" in capsys.readouterr().out
     assert "<img" not in (tmp_path / "r.html").read_text("utf-8")
+
+
+def test_rows_that_bear_no_curve_get_no_equation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Near stall and steady: φ hardly moves, and a curve through it may be anything.
+    table, rng = series_table(), np.random.default_rng(0)
+    table["phi"] = 0.4 + 0.003 * rng.standard_normal(len(table))
+    table["psi_p"] = 0.6 + 0.004 * rng.standard_normal(len(table))
+    table.to_csv(tmp_path / "steady.csv", index=False)
+    document = numbers(tmp_path, tmp_path / "steady.csv")
+    assert document["equation"] is None
+    assert "no structure (lag_undetermined)" in capsys.readouterr().out
