@@ -331,7 +331,7 @@ class _Search(Search[StructureFit]):
         # In units of the variance that all terms leave, which colour raises above one.
         chi2 = {s: self.tried[s].fit.chi2 / self.tested[s].variance for s in level}
         least = min(chi2.values())
-        tied = [s for s in level if chi2[s] < least + self.margin(s)]
+        tied = [s for s in level if chi2[s] <= least + self.margin(s)]
 
         def order(support: Support) -> tuple[int, float]:
             special = sum(self.problem.degrees[i] is None for i in support)

@@ -62,7 +62,8 @@ class FoundStructure(Displayed):
         """Whether whole runs hold no lag, or the rows do not bear the coefficients found."""
         if self.fitted_to == "whole runs":
             return math.isnan(self.fit.time_constant_s_)
-        return not np.all(np.isfinite(self.fit.summary().parts.stderr))
+        found = self.fit.summary().parts.stderr
+        return self.state[0] != "ok" and not np.all(np.isfinite(found))
 
     @property
     def state(self) -> tuple[str, str]:

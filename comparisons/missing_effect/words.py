@@ -41,6 +41,10 @@ _FURTHER = (
     "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another base "
     "(--degree, --base sindy) or a longer record may give it a name."
 )
+_NO_LAG = (
+    "τ is not distinguished from zero here, so that these records cannot show what the lag model "
+    "lacks."
+)
 _NOT_SIMULATED = "These records do not let say what is missing."
 _LACKS = {
     "provisional": "lacks something, provisionally named",
@@ -120,7 +124,9 @@ def _limit(limited: bool) -> str:
 def verdict_sentence(d: Diagnosis) -> str:
     """Say the verdict in one sentence: what is missing and what it does, or that nothing is."""
     if not d.missing:
-        return _LEADS[d.verdict]
+        tau = d.parameters[0]
+        lost = d.of_series and not tau.after >= LEAST_SIZE * tau.after_stderr
+        return _NO_LAG if lost and d.verdict == "nothing_missing" else _LEADS[d.verdict]
     each = []
     for item in d.missing:
         # A number whose error is not known is no answer; the table has it.

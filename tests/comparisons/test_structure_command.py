@@ -131,3 +131,5 @@ def test_rows_that_bear_no_curve_get_no_equation(
     document = numbers(tmp_path, tmp_path / "steady.csv")
     assert document["equation"] is None
     assert "no structure (lag_undetermined)" in capsys.readouterr().out
+    assert run("diagnose", tmp_path / "steady.csv") == 0
+    assert "τ is not distinguished from zero" in capsys.readouterr().out
