@@ -124,8 +124,8 @@ def _limit(limited: bool) -> str:
 def verdict_sentence(d: Diagnosis) -> str:
     """Say the verdict in one sentence: what is missing and what it does, or that nothing is."""
     if not d.missing:
-        tau = d.parameters[0]
-        lost = d.of_series and not tau.after >= LEAST_SIZE * tau.after_stderr
+        lag = d.parameters[0]
+        lost = d.of_series and not lag.after >= LEAST_SIZE * lag.after_stderr
         return _NO_LAG if lost and d.verdict == "nothing_missing" else _LEADS[d.verdict]
     each = []
     for item in d.missing:
