@@ -17,7 +17,14 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
-from comparisons.missing_effect.results import CORRELATION, SIZE, Gap, MissingEffect, ParameterRow
+from comparisons.missing_effect.results import (
+    CORRELATION,
+    LEAST_SIZE,
+    SIZE,
+    Gap,
+    MissingEffect,
+    ParameterRow,
+)
 from comparisons.missing_effect.search import verdict_of
 from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
@@ -31,9 +38,6 @@ AT_BOUND = 1e-3
 TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
 
 AliasSets = Mapping[Hashable, Sequence[LagCandidate]]
-# Below this many standard errors an effect is not distinguished from none: its 95 % interval
-# holds zero.
-LEAST_SIZE = 2.0
 # Directions of all other numbers that are no rounding.
 LEAST_BASIS = 1e-9
 # Steps of a threshold, as shares of the range of φ.

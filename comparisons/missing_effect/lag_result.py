@@ -29,7 +29,13 @@ from comparisons.missing_effect.quantities import (
     plain_name,
     tau_ms,
 )
-from comparisons.missing_effect.results import CandidateRow, Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.results import (
+    LEAST_SIZE,
+    CandidateRow,
+    Diagnosis,
+    Gap,
+    MissingEffect,
+)
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
@@ -139,6 +145,12 @@ class LagDiagnosis(Diagnosis):
     def tau_stderr_s(self) -> float:
         """Standard error of the τ after."""
         return self.parameters[0].after_stderr
+
+    @property
+    def lag_known(self) -> bool:
+        """Whether τ is distinguished from zero, and shorter than the longest run."""
+        longest_s = np.max(np.diff(self.data.runs)) * self.data.sample_period_s
+        return bool(LEAST_SIZE * self.tau_stderr_s <= self.tau_after_s <= longest_s)
 
     @property
     def whole_runs(self) -> bool:

@@ -24,6 +24,9 @@ from surge_core.rounding import bracketed, significant
 
 # Under this name the evidence holds how many standard errors large an effect is as a whole.
 SIZE = "size_in_errors"
+# Below this many standard errors an effect is not distinguished from none: its 95 % interval
+# holds zero.
+LEAST_SIZE = 2.0
 # And under this one the largest correlation of two numbers of the effect, from which on their
 # errors say little one by one.
 CORRELATION, MUCH_CORRELATED = "largest_correlation", 0.9
@@ -346,6 +349,11 @@ class Diagnosis(Displayed):
     def equations(self) -> tuple[str, ...]:
         """The model before and after, in a line each."""
         return ()
+
+    @property
+    def lag_known(self) -> bool:
+        """Whether the records hold the time constant of a lag model."""
+        return True
 
     @property
     def tau_said(self) -> tuple[str, str]:

@@ -12,13 +12,13 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.conclusion import LEAST_SIZE, concluded, missing_effect
+from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import block_rows, readings_of, whole_data
 from comparisons.missing_effect.quantities import size_words
-from comparisons.missing_effect.results import SIZE, Absent, Untold
+from comparisons.missing_effect.results import LEAST_SIZE, SIZE, Absent, Untold
 from comparisons.missing_effect.search import alias_sets, search
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from comparisons.missing_effect.conclusion import LEAST_SIZE
 from comparisons.missing_effect.quantities import (
     PORT_WORDS,
     number_rows,
@@ -16,6 +15,7 @@ from comparisons.missing_effect.quantities import (
 )
 from comparisons.missing_effect.results import (
     CORRELATION,
+    LEAST_SIZE,
     MUCH_CORRELATED,
     SIZE,
     CandidateRow,
@@ -41,10 +41,7 @@ _FURTHER = (
     "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another base "
     "(--degree, --base sindy) or a longer record may give it a name."
 )
-_NO_LAG = (
-    "τ is not distinguished from zero here, so that these records cannot show what the lag model "
-    "lacks."
-)
+_NO_LAG = "These records do not hold τ, so that they cannot show what the lag model lacks."
 _NOT_SIMULATED = "These records do not let say what is missing."
 _LACKS = {
     "provisional": "lacks something, provisionally named",
@@ -124,9 +121,8 @@ def _limit(limited: bool) -> str:
 def verdict_sentence(d: Diagnosis) -> str:
     """Say the verdict in one sentence: what is missing and what it does, or that nothing is."""
     if not d.missing:
-        lag = d.parameters[0]
-        lost = d.of_series and not lag.after >= LEAST_SIZE * lag.after_stderr
-        return _NO_LAG if lost and d.verdict == "nothing_missing" else _LEADS[d.verdict]
+        lost = d.verdict == "nothing_missing" and not d.lag_known
+        return _NO_LAG if lost else _LEADS[d.verdict]
     each = []
     for item in d.missing:
         # A number whose error is not known is no answer; the table has it.
@@ -306,7 +302,7 @@ def _left_words(d: Diagnosis) -> str:
         scale, of = scale_of(unit, (left,)), SYMBOLS.get(name, name)
         noise = f" for a noise of {scale.text(d.floor[j])}" if j < len(d.floor) else ""
         listed.append(f"{scale.text(left)} in {of}{noise}")
-    tau = f" τ = {d.tau_said[0]}." if d.tau_said[0] else ""
+    tau = f" τ = {d.tau_said[0]}." if d.tau_said[0] and d.lag_known else ""
     return f"The rms error {_ON[runs[0].kind]} is {'; '.join(listed)}.{tau}"
 
 

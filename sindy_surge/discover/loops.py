@@ -262,7 +262,8 @@ def discover_loop(
             "phi",
             expected=f"at least {_FEWEST_CYCLES} whole surge cycles of at least {_FEWEST_SAMPLES} "
             "samples",
-            found=f"{cycles.n_cycles} in {smooth[0].size} samples, of {cycles.period_s:.3g} s",
+            found=f"{cycles.n_cycles} in {smooth[0].size} samples"
+            + (f", of {cycles.period_s:.3g} s" if cycles.n_cycles else ""),
             remedy="use a longer record, or sample faster",
         )
     period_samples = round(cycles.period_s / step)

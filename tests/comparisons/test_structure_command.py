@@ -132,4 +132,4 @@ def test_rows_that_bear_no_curve_get_no_equation(
     assert document["equation"] is None
     assert "no structure (lag_undetermined)" in capsys.readouterr().out
     assert run("diagnose", tmp_path / "steady.csv") == 0
-    assert "τ is not distinguished from zero" in capsys.readouterr().out
+    assert "These records do not hold τ" in capsys.readouterr().out
