@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import convolve1d
 from scipy.signal import butter, detrend, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz, welch
 
 from classic_ml.records import Channel, LedgerEntry, Record
@@ -151,7 +152,7 @@ def low_pass(
 
 
 def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> FloatArray:
-    """Return the centred moving average over exactly one period.
+    """Return the centred moving average over exactly one period, along the first axis.
 
     It has a null at 1/period and at all its harmonics, and no delay. The ends of its window get
     fractional weights; near the ends of the record it is over what there is.
@@ -162,13 +163,13 @@ def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -
         return np.asarray(values, dtype=np.float64)
     weights = np.ones(2 * side + 1)
     weights[[0, -1]] = 0.5 * (width - (2 * side - 1))
-    n = values.size
-    sums = np.convolve(values, weights)[side : side + n]
+    n = len(values)
+    sums = convolve1d(np.asarray(values, dtype=np.float64), weights, axis=0, mode="constant")
     # Which of the weights meet a row of the record.
     upto = np.concatenate([[0.0], np.cumsum(weights)])
     row = np.arange(n)
     first, stop = np.maximum(side - row, 0), np.minimum(side + n - row, weights.size)
-    return np.asarray(sums / (upto[stop] - upto[first]))
+    return np.asarray((sums.T / (upto[stop] - upto[first])).T)
 
 
 def phase_delay_s(

@@ -269,9 +269,8 @@ def covariance_of(fit: Fit, bench: Bench) -> FloatArray:
     """Return the covariance of the free parameters of a fit, then its linear ones."""
     data = with_own_state(bench.data, fit)
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
-    slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
-    answer = fit.structure.respond(data, fit.nonlinear)
-    seen = bench.metric.seen(np.column_stack([slopes, answer.columns]), solution.decay, data)
+    both = np.column_stack([solution.slopes(fit.structure.free), solution.columns])
+    seen = bench.metric.seen(both, solution.decay, data)
     rows = bench.rows
     scores = seen * solution.errors[:, None]
     counted = rows.block >= 0
@@ -292,10 +291,9 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     data, structure = with_own_state(bench.data, fit), fit.structure
     solution = solved(structure, data, bench.metric, fit.nonlinear)
     fit = replace(fit, coefficients=solution.coefficients)
-    lost = fit.output(data) - fit.without_amplitude(effect, data).output(data)
-    free = [i for i in structure.free if i not in structure.slots[effect.name]]
-    slopes = structure.slopes(data, fit.nonlinear, solution.coefficients, free)
-    columns = structure.respond(data, fit.nonlinear).columns
+    lost = solution.output - fit.without_amplitude(effect, data).output(data)
+    slopes = solution.slopes([i for i in structure.free if i not in structure.slots[effect.name]])
+    columns = solution.columns
     if effect.linear:
         columns = np.delete(columns, fit.structure.layout(data, fit.nonlinear)[effect.name], axis=1)
     joint = np.column_stack([lost, slopes, columns])

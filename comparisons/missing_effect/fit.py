@@ -8,12 +8,13 @@ from functools import cached_property
 from itertools import pairwise, starmap
 
 import numpy as np
+from scipy.linalg import qr
 
 from comparisons.missing_effect.catalogue.workings import stall_episodes
 from comparisons.missing_effect.effect import PORT_ORDER, Effect
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.noise import Metric
-from comparisons.missing_effect.ports import Ports, Response, ages, respond
+from comparisons.missing_effect.ports import Ports, decay_of, respond
 from surge_core.types import FloatArray
 
 MOST_STEPS = 25
@@ -127,38 +128,17 @@ class Structure:
                 out[list(self.slots[effect.name])] = effect.adapted(data, own)
         return out
 
-    def respond(self, data: LagData, nonlinear: FloatArray) -> Response:
-        """Return the answer to every linear coefficient, at the samples."""
+    def respond(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
+        """Return the answer to every linear coefficient, at the samples, a column each."""
         return respond(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))
 
     def respond_decay(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return what is left, at each sample, of a start of its run that is off by one."""
-        ports = self.ports(data, nonlinear)
-        return np.asarray(np.exp(-ages(ports, data, float(np.exp(nonlinear[0])))))
+        return decay_of(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))
 
     def output(self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return the model's answer for given coefficients, of shape (n,)."""
         return self.answer(data, self.ports(data, nonlinear), nonlinear, coefficients)
-
-    def slopes(
-        self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray, which: Sequence[int]
-    ) -> FloatArray:
-        """Return the derivative of the answer with respect to some parameters that are not linear.
-
-        ``which`` are their places in ``nonlinear``, a column each.
-        """
-        here = self.ports(data, nonlinear)
-        base = self.answer(data, here, nonlinear, coefficients)
-        out = np.empty((base.size, len(which)))
-        for column, i in enumerate(which):
-            step = self.steps[i]
-            if nonlinear[i] + step > self.bounds[i, 1]:
-                step = -step
-            moved = nonlinear.copy()
-            moved[i] += step
-            ports = here if i == 0 else self.ports(data, moved)
-            out[:, column] = (self.answer(data, ports, moved, coefficients) - base) / step
-        return out
 
     def answer(
         self, data: LagData, ports: Ports, nonlinear: FloatArray, coefficients: FloatArray
@@ -167,8 +147,8 @@ class Structure:
         q, k = ports.driven.shape[1], data.nuisance.shape[1]
         nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
         tau_s = float(np.exp(nonlinear[0]))
-        answer = respond(ports.contracted(coefficients), data, tau_s, nuisance)
-        return np.asarray(answer.columns.sum(axis=1) + answer.known)
+        columns = respond(ports.contracted(coefficients), data, tau_s, nuisance)
+        return np.asarray(columns.sum(axis=1) + ports.known)
 
 
 @dataclass(frozen=True)
@@ -252,7 +232,8 @@ class Fit:
 class Solution:
     """The linear parameters at given others, and the errors that they leave in the metric.
 
-    ``basis`` spans what they can move, orthonormally; ``decay`` is what a start leaves.
+    ``columns`` is the answer to each of them; ``basis`` spans it in the metric, orthonormally;
+    ``decay`` is what a start leaves.
     """
 
     structure: Structure
@@ -263,17 +244,40 @@ class Solution:
     errors: FloatArray
     basis: FloatArray
     decay: FloatArray
+    ports: Ports
+    columns: FloatArray
+
+    @cached_property
+    def output(self) -> FloatArray:
+        """The free run, each run from rest."""
+        return np.asarray(self.columns @ self.coefficients + self.ports.known)
 
     @property
     def cost(self) -> float:
         """Half the sum of squared errors."""
         return 0.5 * float(self.errors @ self.errors)
 
+    def slopes(self, which: Sequence[int]) -> FloatArray:
+        """Return the derivative of the free run with respect to some parameters not linear.
+
+        ``which`` are their places in ``nonlinear``, a column each.
+        """
+        structure, base = self.structure, self.output
+        out = np.empty((base.size, len(which)))
+        for column, i in enumerate(which):
+            step = structure.steps[i]
+            if self.nonlinear[i] + step > structure.bounds[i, 1]:
+                step = -step
+            moved = self.nonlinear.copy()
+            moved[i] += step
+            ports = self.ports if i == 0 else structure.ports(self.data, moved)
+            there = structure.answer(self.data, ports, moved, self.coefficients)
+            out[:, column] = (there - base) / step
+        return out
+
     def free_slopes(self) -> FloatArray:
         """Return how the errors move with the searched parameters beyond what the others do."""
-        slopes = self.structure.slopes(
-            self.data, self.nonlinear, self.coefficients, self.structure.free
-        )
+        slopes = self.slopes(self.structure.free)
         slopes[:, 0] += self._slope_of_starts()
         seen = self.metric.seen(slopes, self.decay, self.data)
         return np.asarray(seen - self.basis @ (self.basis.T @ seen))
@@ -283,8 +287,7 @@ class Solution:
 
         A short run, or one that begins in a reversal, ends at another τ without it.
         """
-        output = self.structure.output(self.data, self.nonlinear, self.coefficients)
-        left = self.data.measured - output
+        left = self.data.measured - self.output
         seen, decay = (self.metric.whitened(v, self.data) for v in (left, self.decay))
         moved = -self.decay * np.log(np.maximum(self.decay, 1e-300))
         for run in self.data.slices:
@@ -318,26 +321,29 @@ class Solution:
 
 def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: FloatArray) -> Solution:
     """Solve for the linear parameters at given others."""
-    answer = structure.respond(data, nonlinear)
-    joint = np.column_stack([answer.columns, data.measured - answer.known])
-    seen = metric.seen(joint, answer.decay, data)
-    columns, target = seen[:, :-1], seen[:, -1]
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    ports = structure.ports(data, nonlinear)
+    tau_s = float(np.exp(nonlinear[0]))
+    columns, decay = respond(ports, data, tau_s), decay_of(ports, data, tau_s)
+    joint = metric.seen(np.column_stack([columns, data.measured - ports.known]), decay, data)
+    seen, target = joint[:, :-1], joint[:, -1]
+    scale = np.sqrt(np.einsum("ij,ij->j", seen, seen))
     scale[scale == 0.0] = 1.0
-    basis, triangle = np.linalg.qr(columns / scale)
+    basis, triangle = qr(seen / scale, mode="economic", check_finite=False)
     diagonal = np.abs(np.diag(triangle))
     if diagonal.min(initial=1.0) > 1e-9:
         along = basis.T @ target
         coefficients = np.linalg.solve(triangle, along) / scale
     else:
         # Terms that the rows cannot separate: the least of all equally good answers.
-        left, size, right = np.linalg.svd(columns / scale, full_matrices=False)
+        left, size, right = np.linalg.svd(seen / scale, full_matrices=False)
         kept = size > 1e-9 * size[0]
         basis = left[:, kept]
         along = basis.T @ target
         coefficients = (right[kept].T @ (along / size[kept])) / scale
     errors = target - basis @ along
-    return Solution(structure, data, metric, nonlinear, coefficients, errors, basis, answer.decay)
+    return Solution(
+        structure, data, metric, nonlinear, coefficients, errors, basis, decay, ports, columns
+    )
 
 
 def fit_structure(

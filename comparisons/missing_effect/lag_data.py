@@ -192,13 +192,10 @@ class LagData:
             return columns
         from classic_ml.filters import period_average
 
-        out = np.empty_like(columns)
-        for start, stop in self.fine_runs:
-            for j in range(columns.shape[1]):
-                out[start:stop, j] = period_average(
-                    columns[start:stop, j], self.average_s, 1.0 / self.step_s
-                )
-        return out
+        rate_hz = 1.0 / self.step_s
+        return np.concatenate(
+            [period_average(columns[a:b], self.average_s, rate_hz) for a, b in self.fine_runs]
+        )
 
     def of_exit(self, change_Pa: FloatArray) -> FloatArray:
         """Return at the samples what a change of P31, on the fine grid, makes of ψ'."""

@@ -89,23 +89,14 @@ def n_powers(terms: Sequence[str]) -> int:
     return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
 
 
-@dataclass(frozen=True)
-class Response:
-    """What the model gives at the samples: a column for each linear coefficient, and what has none.
-
-    Columns are inputs of the lag, nuisances, and what is added behind it; ``decay`` is what is left
-    of a start of its run that is off by one.
-    """
-
-    columns: FloatArray
-    decay: FloatArray
-    known: FloatArray | float = 0.0
-
-
 def respond(
     ports: Ports, data: LagData, tau_s: float, nuisance: FloatArray | None = None
-) -> Response:
-    """Return the answer to every input column at the samples; nuisances in place of the data's."""
+) -> FloatArray:
+    """Return the answer to every linear coefficient at the samples, a column each.
+
+    Columns are inputs of the lag, nuisances (others in place of the data's), and what is added
+    behind the lag.
+    """
     driven = ports.driven
     if "stalled" in data:
         driven = driven * data["stalled"][:, None]
@@ -114,8 +105,12 @@ def respond(
     if extra.shape[1]:
         driven = np.column_stack([driven, extra])
     columns = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
-    columns = np.column_stack([columns * np.reshape(ports.out_gain, (-1, 1)), ports.added])
-    return Response(columns, np.exp(-ages(ports, data, tau_s)), ports.known)
+    return np.column_stack([columns * np.reshape(ports.out_gain, (-1, 1)), ports.added])
+
+
+def decay_of(ports: Ports, data: LagData, tau_s: float) -> FloatArray:
+    """Return what is left, at each sample, of a start of its run that is off by one."""
+    return np.asarray(np.exp(-ages(ports, data, tau_s)))
 
 
 def ages(ports: Ports, data: LagData, tau_s: float) -> FloatArray:

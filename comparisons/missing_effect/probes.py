@@ -133,7 +133,7 @@ class Prober:
             ports = replace(
                 self.ports, driven=np.column_stack(driven), added=self.ports.added[:, :0]
             )
-            answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0]).columns
+            answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0])
             for column, i in enumerate(owner):
                 groups[i].append(answer[:, column])
         for i, columns in added:

@@ -52,7 +52,7 @@ MATTERS = {
 MATTERS_OF_PSI_P = 0.03
 # What a ∫dx/A that is stated too large by this factor does to its number is seen on twins: τ and
 # the curve make up for a part of it.
-INERTIA, INERTIA_FACTOR, INERTIA_TWINS = "flow_inertia", 1.5, 8
+INERTIA, INERTIA_FACTOR, INERTIA_TWINS = "flow_inertia", 1.5, 4
 SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
 # Far from its reference a transducer loses an offset with its sensitivity.
 SENSITIVITY = "sensitivity_drift"
@@ -336,10 +336,11 @@ def nulls_of(
     left_rms = float(np.mean(rms)) if rms else float("nan")
     varied = zip(*(one.varied() for one in readings), strict=True)
     over_specs = [read(others, effects) for others in varied]
-    wrong: list[Read] = []
-    for others in measured[:INERTIA_TWINS]:
+    wrong: list[tuple[Read, Read]] = []
+    for others, right in zip(measured[:INERTIA_TWINS], over_twins, strict=False):
         with suppress(InputError):
-            wrong.append(read([one.with_inertia(INERTIA_FACTOR) for one in others], effects))
+            again = [one.with_inertia(INERTIA_FACTOR) for one in others]
+            wrong.append((right, read(again, effects)))
     by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, wrong) for e in effects}
     return Nulls(by_effect, left_rms)
 
@@ -352,7 +353,7 @@ def _null(
     data: LagData,
     twins: Sequence[Read],
     specs: Sequence[Read],
-    wrong: Sequence[Read],
+    wrong: Sequence[tuple[Read, Read]],
 ) -> Null:
     read = np.array([one[effect.name] for one in twins if effect.name in one]).reshape(-1, 2)
     varied = np.array([one[effect.name][1] for one in specs if effect.name in one])
@@ -365,8 +366,9 @@ def _null(
     if len(read) < FEWEST_TWINS:
         return Null(np.inf, 0.0, 0.0, np.inf, matters, unit)
     mean, sd = read.mean(axis=0), read.std(axis=0, ddof=1)
-    moved = [one[effect.name][1] for one in wrong if effect.name in one]
-    by_inertia = float(np.mean(moved)) - mean[1] if moved else 0.0
+    name = effect.name
+    moved = [b[name][1] - a[name][1] for a, b in wrong if name in a and name in b]
+    by_inertia = float(np.mean(moved)) if moved else 0.0
     matters = abs(by_inertia) if effect.name == INERTIA else matters
     both = float(np.hypot(sd[1], np.std(varied) if varied.size else 0.0))
     return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia)

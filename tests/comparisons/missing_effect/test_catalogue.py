@@ -65,7 +65,7 @@ def starts_of(effect: Effect, data: LagData) -> np.ndarray:
 def answer(effect: Effect, values: np.ndarray, data: LagData, amplitudes: float) -> np.ndarray:
     structure = Structure(CUBIC, (effect,))
     nonlinear = np.concatenate([[np.log(TAU_S)], values])
-    n_columns = structure.respond(data, nonlinear).columns.shape[1]
+    n_columns = structure.respond(data, nonlinear).shape[1]
     own = np.full(n_columns - BETA.size, amplitudes)
     ports = structure.ports(data, nonlinear)
     n_driven = ports.driven.shape[1] - BETA.size

@@ -287,7 +287,7 @@ def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_tr
     truth = plain_truth + 0.01 * wave
     episodes = stall_episodes(data, 0.0)
     structure = Structure(CUBIC, (find_effect("rotating_stall_ripple"),))
-    columns = structure.respond(data, np.concatenate([PLAIN, [13.7, 0.0]])).columns[:, 4:]
+    columns = structure.respond(data, np.concatenate([PLAIN, [13.7, 0.0]]))[:, 4:]
     assert columns.shape == (N, 2 * len(episodes))
     # Sine and cosine of an episode make up its wave, whatever instant they count from.
     own = np.linalg.lstsq(columns, 0.01 * wave, rcond=None)[0]
