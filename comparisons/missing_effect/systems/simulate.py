@@ -296,12 +296,19 @@ def _behind(placed: Placed, slots: FloatArray, values: FloatArray) -> FloatArray
     """Return what goes through an effect at a channel; lags and plays are on the fine grid."""
     kind, own, a = placed.effect.kind, placed.scales[1], float(slots[0])
     if kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP):
-        code = placed.effect.code
-        return np.array([map_value(code, value, own, a) for value in values.tolist()])
+        return _mapped(placed.effect.code, values, own, a)
     if kind in (Kind.INPUT_LAG, Kind.OUTPUT_LAG):
         every = np.array([[0, values.size]])
         return lag_pass(values[:, None], max(FINE * a, LEAST_LAG), 1.0, every)[:, 0]
     return _followed(values, a * own) if kind == Kind.INPUT_PLAY else values
+
+
+@njit(cache=True, error_model="numpy")
+def _mapped(code: Any, values: FloatArray, own: float, a: float) -> FloatArray:
+    out = np.empty(values.size)
+    for k in range(values.size):
+        out[k] = map_value(code, values[k], own, a)
+    return out
 
 
 @njit(cache=True, error_model="numpy")
