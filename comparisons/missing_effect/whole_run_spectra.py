@@ -70,7 +70,10 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     peaks = np.flatnonzero(wanted & (height == highest))
     if peaks.size < 2:
         return None
-    partner = np.interp(2.0 * harmonic[peaks] - frequency[peaks], frequency, highest)
+    # Half way between two harmonics a line may be a side line of either.
+    below = np.maximum(np.floor(frequency[peaks] / cells_hz), 1.0) * cells_hz
+    partners = [2.0 * own - frequency[peaks] for own in (below, below + cells_hz)]
+    partner = np.max([np.interp(there, frequency, highest) for there in partners], axis=0)
     unequal = np.log(height[peaks] / partner)
     middle = float(np.median(unequal))
     spread = 1.4826 * float(np.median(np.abs(unequal - middle)))

@@ -21,9 +21,11 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import fit_branches
 from comparisons.missing_effect import Diagnosis, diagnose, find_effect
 from comparisons.missing_effect.loading import block_rows, reading_of, whole_data
+from comparisons.missing_effect.whole_run_spectra import ripple_line
 from comparisons.missing_effect.whole_runs import nulls_of, plain_bench, rms_left
 from comparisons.rig import CASES
 from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC
+from comparisons.rig_distributed import draw_record
 
 TAU_MS = 18.0
 # Enough for the scatter of a null to be known to a fifth.
@@ -112,6 +114,13 @@ def test_a_second_pattern_of_cells_is_found_at_its_frequency() -> None:
     turn_hz = SECOND_CELL_ROTOR_FRAC * CASES["985"].rotor_speed_rpm / 60.0
     assert value_of(d, "rotating_stall_ripple", "f") == pytest.approx(turn_hz, abs=1.0)
     assert tau_error_ms(d.tau_after_s) < 3.0
+
+
+@pytest.mark.parametrize("seed", [700, 723])
+def test_side_lines_of_surge_are_no_second_pattern(tmp_path: Path, seed: int) -> None:
+    """Half way to the next harmonic: 1.54 and 1.53 times the cells, eight and seven surges away."""
+    draw_record(seed, tmp_path / "record")
+    assert ripple_line(reading_of(series_of(tmp_path / "record"))) is None
 
 
 def test_a_wrong_inertia_is_named_or_said_to_be_out_of_reach() -> None:
