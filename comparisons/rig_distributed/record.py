@@ -219,8 +219,6 @@ def _parameters(
     return {
         "tau_s": machine.tau_s,
         "reverse_loss": machine.reverse_loss,
-        # The cell is part of the flow here, and what turns with it remains in the plane averages.
-        "effects": ["rotating_stall_ripple"],
         "rotor_velocity_m_s": machine.rotor_velocity_m_s,
         "stall_times_s": (np.flatnonzero(change > 0) + 1).astype(float) / fitted.rate_hz,
         "recovery_times_s": (np.flatnonzero(change < 0) + 1).astype(float) / fitted.rate_hz,
