@@ -65,7 +65,8 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     near = max(3, round(NEAR_CELLS_HZ / step_hz) | 1)
     highest = maximum_filter1d(height, near)
     harmonic = np.maximum(np.round(frequency / cells_hz), 1.0) * cells_hz
-    wanted = (frequency > SLOWEST_PATTERN * cells_hz) & (np.abs(frequency - harmonic) > NEAR_CELLS_HZ)
+    wanted = np.abs(frequency - harmonic) > NEAR_CELLS_HZ
+    wanted &= frequency > SLOWEST_PATTERN * cells_hz
     wanted &= frequency < min(HIGHEST_LINE_HZ, HIGHEST_SHARE * rate_hz)
     peaks = np.flatnonzero(wanted & (height == highest))
     if peaks.size < 2:
