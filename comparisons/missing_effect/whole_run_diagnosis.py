@@ -14,6 +14,7 @@ from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
+from comparisons.missing_effect.evidence import LEAST_Z
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import block_rows, readings_of, whole_data
@@ -42,6 +43,7 @@ LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
 NO_TWINS = "no twins of the record were measured"
 NO_MEASURE = "twins of these records, measured or not, are no measure of it"
+FEW_CYCLES = f"on the cycles left out it wins by fewer than {LEAST_Z:g} standard errors"
 REVERSED = "reverse_flow_branch"
 ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
 SECOND_PATTERN = "what a second pattern of stall cells leaves takes other names"
@@ -98,8 +100,8 @@ def diagnose_whole_runs(
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
         item
-        if item.provisional or (i == 0 and _firm(sets[item.effect], base, nulls))
-        else item.doubted(NO_MEASURE)
+        if item.provisional or not (why := _doubt(i, sets[item.effect], base, nulls))
+        else item.doubted(why)
         for i, item in enumerate(diagnosis.missing)
     )
     verdict = diagnosis.verdict
@@ -135,15 +137,22 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _firm(members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> bool:
-    """Return whether one of a set is beyond its null on a record that decides about it."""
+def _doubt(place: int, members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> str:
+    """Say why a set is not firm; nothing where one of it is beyond its null.
+
+    That asks for the first set, a record that decides about it, and most of its cycles.
+    """
     by_effect = nulls.by_effect
-    return any(
-        c.evidence.accepted
+    beyond = [
+        c.evidence.z
+        for c in members
+        if c.evidence.accepted
         and c.name in by_effect
         and by_effect[c.name].is_sure(number_of(c.added[0], c.fit, bench))
-        for c in members
-    )
+    ]
+    if place or not beyond:
+        return NO_MEASURE
+    return "" if max(beyond) > LEAST_Z else FEW_CYCLES
 
 
 def _decided(

@@ -13,7 +13,8 @@ from surge_core.types import BoolArray, FloatArray
 
 HIGHEST_LINE_HZ, HIGHEST_SHARE = 400.0, 0.4
 # A second pattern turns at least this much as fast as the first; below lie surge's own harmonics.
-SLOWEST_PATTERN = 0.4
+# From twice as fast on a side line of the first has its partner below zero.
+SLOWEST_PATTERN, FASTEST_PATTERN = 0.4, 2.0
 # Harmonics of the cells are this wide; the background of a line is the median over so much.
 NEAR_CELLS_HZ, BACKGROUND_HZ = 3.0, 40.0
 # What three standard deviations leave to chance, shared by all lines that were looked at.
@@ -38,8 +39,9 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     """Look for a second pattern of stall cells in the rake differences, which carry no surge.
 
     Surge switches the known cells on and off: that leaves side lines in pairs, as far below a
-    harmonic of the cells as above it, and nearly as high. How unequal the pairs of this record are
-    is the null; a pattern of its own has no partner.
+    harmonic of the cells as above it, and nearly as high, as high as the spectrum of the switching
+    at that distance. How unequal the pairs of this record are is the null; a pattern of its own has
+    no partner and stands above both.
     """
     from scipy.ndimage import maximum_filter1d, median_filter
     from scipy.stats import norm
@@ -55,15 +57,22 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     frequency = np.fft.rfftfreq(size, passes.sample_period_s)
     step_hz = float(frequency[1])
 
-    def height_of(values: FloatArray) -> FloatArray:
+    near = max(3, round(NEAR_CELLS_HZ / step_hz) | 1)
+    harmonics = np.round(np.arange(cells_hz, 0.5 * rate_hz, cells_hz) / step_hz).astype(np.int64)
+    apart = np.arange(frequency.size) - harmonics[:, None]
+    switching = np.abs(np.fft.fft(stalled.astype(np.float64), size)) ** 2
+    # The spectrum of a real signal is that at -f, too.
+    switching = switching[apart] + switching[(apart + 2 * harmonics[:, None]) % size]
+
+    def heights_of(values: FloatArray) -> tuple[FloatArray, FloatArray]:
         quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
         power = np.abs(np.fft.rfft(_held(quick, stalled), size)) ** 2
-        around = median_filter(power, max(3, round(BACKGROUND_HZ / step_hz) | 1))
-        return np.asarray(power / np.maximum(around, 1e-300))
+        around = np.maximum(median_filter(power, round(BACKGROUND_HZ / step_hz) | 1), 1e-300)
+        switched = maximum_filter1d(power, near)[harmonics] @ switching
+        return power / around, switched / around
 
-    height = np.mean([height_of(values) for values in differences], axis=0)
-    near = max(3, round(NEAR_CELLS_HZ / step_hz) | 1)
-    highest = maximum_filter1d(height, near)
+    height, switched = np.mean([heights_of(values) for values in differences], axis=0)
+    highest, switched = maximum_filter1d(height, near), maximum_filter1d(switched, near)
     harmonic = np.maximum(np.round(frequency / cells_hz), 1.0) * cells_hz
     wanted = np.abs(frequency - harmonic) > NEAR_CELLS_HZ
     wanted &= frequency > SLOWEST_PATTERN * cells_hz
@@ -75,13 +84,14 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     below = np.maximum(np.floor(frequency[peaks] / cells_hz), 1.0) * cells_hz
     partners = [2.0 * own - frequency[peaks] for own in (below, below + cells_hz)]
     partner = np.max([np.interp(there, frequency, highest) for there in partners], axis=0)
-    unequal = np.log(height[peaks] / partner)
+    switched = switched[peaks] * np.median(height[peaks] / switched[peaks])
+    unequal = np.log(height[peaks] / np.maximum(partner, switched))
     middle = float(np.median(unequal))
     spread = 1.4826 * float(np.median(np.abs(unequal - middle)))
     alone = unequal > middle + spread * float(norm.isf(CHANCE / peaks.size))
     # In noise the power over its median follows an exponential law.
     loud = height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
-    found = peaks[alone & loud]
+    found = peaks[alone & loud & (frequency[peaks] < FASTEST_PATTERN * cells_hz)]
     if not found.size:
         return None
     best = int(found[np.argmax(height[found])])
