@@ -131,8 +131,12 @@ class Evidence:
         held_out = self.later > 0.0 and not self.other <= 0.0
         if self.least_share == self.least_share:
             return held_out and self.share >= self.least_share
-        consistent = self.z > LEAST_Z or self.many_blocks or self.one_sided
-        return held_out and self.p_value < LARGEST_P and consistent
+        return held_out and self.p_value < LARGEST_P and self.consistent
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the held-out blocks agree: a mean gain that is none of a few of them."""
+        return self.z > LEAST_Z or self.many_blocks or self.one_sided
 
     @property
     def accepted(self) -> bool:
@@ -180,12 +184,12 @@ def evidence_of(
         z,
         p_value,
         score,
-        many_blocks=_speak_for_themselves(sums),
+        many_blocks=speak_for_themselves(sums),
         one_sided=against < one_sided * for_it,
     )
 
 
-def _speak_for_themselves(sums: FloatArray) -> bool:
+def speak_for_themselves(sums: FloatArray) -> bool:
     """Tell whether several held-out blocks win much, where the mean is ruled by a few of them.
 
     An effect that acts in a few cycles only, such as a branch in reversed flow that φ seldom

@@ -144,7 +144,7 @@ def _doubt(place: int, members: Sequence[LagCandidate], bench: Bench, nulls: Nul
     """
     by_effect = nulls.by_effect
     beyond = [
-        c.evidence.z
+        c.evidence.consistent
         for c in members
         if c.evidence.accepted
         and c.name in by_effect
@@ -152,7 +152,7 @@ def _doubt(place: int, members: Sequence[LagCandidate], bench: Bench, nulls: Nul
     ]
     if place or not beyond:
         return NO_MEASURE
-    return "" if max(beyond) > LEAST_Z else FEW_CYCLES
+    return "" if any(beyond) else FEW_CYCLES
 
 
 def _decided(

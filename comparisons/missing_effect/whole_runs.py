@@ -23,7 +23,13 @@ from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.engine import Policy, System, Tried
-from comparisons.missing_effect.evidence import ALIAS, Tie, paired_z
+from comparisons.missing_effect.evidence import (
+    ALIAS,
+    Tie,
+    block_sums,
+    paired_z,
+    speak_for_themselves,
+)
 from comparisons.missing_effect.fit import Fit, Structure, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import whole_data
@@ -213,11 +219,12 @@ class WholeRuns(Bench):
         beyond = null is None or null.beyond(share, number_of(candidate.added[0], fit, self))
         # At an end of what is searched for τ it is no lag that was fitted.
         beyond &= bool(TAUS_S[0] < fit.tau_s < TAUS_S[-1])
-        later, other, z = 0.0, float("nan"), 0.0
+        later, other, z, many_blocks = 0.0, float("nan"), 0.0, False
         # Cycles left out cost four fits more: only for what may be named at all.
         if beyond:
             gain = 0.5 * (self.left_out**2 - cycles_left_out(fit, self) ** 2)
             later, z = float(gain.sum()), paired_z(gain, self.rows, TRAIN)
+            many_blocks = speak_for_themselves(block_sums(gain, self.rows, TRAIN))
             last = self.data.record == self.data.record.max()
             other = float("nan") if last.all() else float(gain[last].sum())
         least = float("nan") if null is None else null.least_share
@@ -226,6 +233,7 @@ class WholeRuns(Bench):
             later=later,
             other=other,
             z=z,
+            many_blocks=many_blocks,
             score=evidence.score + later,
             share=share,
             least_share=np.inf if not beyond and share >= least else least,
