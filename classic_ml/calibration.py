@@ -205,6 +205,6 @@ def _other_level(
         expected=f"about {target:g} {unit} at near stall, as {test.source} [near_stall] says",
         found=f"{found:g} {unit}, readings from {np.min(steady[name]):g} to "
         f"{np.max(steady[name]):g}",
-        remedy="check that from_s to to_s end before the surge, the unit of the column"
-        + (" and the zero and calibrate readings" if unit == "Pa" else ""),
+        remedy="check that from_s to to_s end before the surge, and the units of the column and of "
+        "[near_stall]" + (", and the zero and calibrate readings" if unit == "Pa" else ""),
     )

@@ -337,7 +337,7 @@ def segment(
     )
     why = "unstalled, or outside the window: simulated, not fitted"
     dropped += (Dropped("rows", n_rows - n_scored, why),)
-    did = f"{n_segments} segments with {n_scored} rows"
+    did = f"{counted(n_segments, 'segment')} with {n_scored} rows"
     columns = {"in_stall": state, "window": inside, "segment": labels}
     entry = LedgerEntry("segment", did, parameters, dropped, flags)
     return record.after(entry, add=[Channel(n, v.astype(float), "1") for n, v in columns.items()])

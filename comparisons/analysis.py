@@ -142,7 +142,8 @@ def analyse(
     )
     work = tried("work", lambda: withheld_if_vague(fit_work(record, described, progress=progress)))
     readings = []
-    if structure is not None and not structure.refused:
+    # Where sindy is the one to quote, the structure is the same fit once more.
+    if structure and not structure.refused and comparison.recommended != "sindy":
         fit = structure.fit
         shared = getattr(fit, "measurement_share_", 0.0)
         tau = fit.time_constant_s_, fit.time_constant_stderr_s_

@@ -3,8 +3,8 @@
 For columns that are ready-made, e.g. averaged after the terms were formed, and runs that are
 scored only where the model holds. What such runs leave is coloured by the average and has an
 error of the model in it, which comes again in every cycle, so that no likelihood and no cycle left
-out shows what is part of the curve. What shows it is the share of the squared error that a term
-saves over the whole free run, against what needless terms save on true parabolas.
+out shows what is part of the curve. What shows it is the rms of ψ' that a term saves over the whole
+free run, against what needless terms save on true parabolas.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from surge_core.fit_state import FitState
 from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
-# Gain is √(squared error saved / squared error of the parabola) over the free run. On 90 true
-# parabolas of machines drawn at random, gain · √(seconds scored) was 0.21 in the middle, 0.39 for
-# nine of ten and 0.46 for 95 %; of 46 fresh ones 4 exceeded it. The fewer passes, the more of their
-# errors a term follows.
-_GAIN_OF_A_SECOND = 0.47
-# Beyond a cubic, the gain of a kink where the truth is a cubic: 95 % below.
-_BEYOND_CUBIC = 0.54
+# Gain is √(squared error saved / rows); by the standard deviation of φ in stall, a slope. On 84
+# true parabolas of machines drawn at random that slope was 0.12 in the middle, 0.25 for nine of ten
+# and 0.32 for 95 %, on 25 pairs of them 0.31.
+_NEEDED_SLOPE = 0.33
+# Beyond a cubic, the slope of a kink where the truth is a cubic of 600: 95 % below.
+_BEYOND_CUBIC_SLOPE = 0.95
 # A hinge near an end of the range stands for an error at the change of state.
 _ENDS = (0.15, 0.9)
 
@@ -42,8 +41,7 @@ class Departure:
     # {"kink", "kink or cubic", "undecidable"}: What the curve has beside a parabola; undecidable
     # where no more is saved than a needless term may save
     finding: str
-    # √(squared error saved / squared error of the parabola) at the best term, and what a departure
-    # takes
+    # √(squared error saved / rows), in ψ', of the best term, and what a departure takes
     gain: float
     needed: float
     structure: Support  # The terms
@@ -64,55 +62,61 @@ class Departure:
                 )
             return (
                 "the record does not decide whether the curve is a parabola: a kink or a cubic "
-                f"lowers the error no more than on true parabolas (gain {self.gain:.2f}, needed "
-                f"{self.needed:.2f}). A term of {low:.0f} to {high:.0f} φ³ fits as well"
+                f"lowers the error no more than on true parabolas (ψ' by {self.gain:.3f}, needed "
+                f"{self.needed:.3f}). A term of {low:.0f} to {high:.0f} φ³ fits as well"
             )
         which = "a kink" if self.finding == "kink" else "a kink or a cubic, which are rivals here"
         return (
-            f"the curve is no parabola but has {which} (gain {self.gain:.2f}, needed "
-            f"{self.needed:.2f}; as a cubic {low:.0f} to {high:.0f} φ³)"
+            f"the curve is no parabola but has {which} (ψ' by {self.gain:.3f}, needed "
+            f"{self.needed:.3f}; as a cubic {low:.0f} to {high:.0f} φ³)"
         )
 
 
 def departure_from(
-    equations: FreeRunEquations,
-    parabola: Support,
-    cubic: Support,
-    hinges: Sequence[int],
-    seconds: float,
+    own: Sequence[FreeRunEquations], parabola: Support, cubic: Support, hinges: Sequence[int]
 ) -> Departure:
     """Compare the parabola with a cubic, whose first terms it is, and with a hinge at every knot.
 
-    Each run has a parabola, nuisances and a lag of its own; knot and slope are common to all. The
-    ``seconds`` are those scored for τ in each run, on average; 0 for runs that cannot show the
-    shape.
+    Each record has a parabola, nuisances and a lag of its own; knot and slope are common to all.
+    Without records nothing is judged.
     """
-    own = equations.apart()
-    kinks = [(*parabola, hinge) for hinge in _inner(own, hinges)]
-    others = [*kinks, cubic] if cubic != parabola else kinks
-    if not others or not all(each.scored.size for each in own):
+    shown = len(parabola) > 1 and bool(own) and all(len(_in_stall(e, parabola)) for e in own)
+    kinks = [(*parabola, hinge) for hinge in _inner(own, parabola, hinges)] if shown else []
+    others = [*kinks, cubic] if shown and cubic != parabola else kinks
+    if not others:
         anything = -math.inf, math.inf
         return Departure("undecidable", 0.0, math.inf, parabola, (), anything, (parabola,))
     saved = {other: _saved(own, parabola, other) for other in others}
     gains = [saved[other][0] for other in others]
     best = others[int(np.argmax(gains))]
-    needed = _GAIN_OF_A_SECOND / math.sqrt(seconds) if seconds > 0.0 else math.inf
+    spread = math.sqrt(np.mean([np.var(_in_stall(e, parabola)[:, parabola[1]]) for e in own]))
+    needed = _NEEDED_SLOPE * spread
     _, value, reach = saved.get(cubic, (0.0, 0.0, math.inf))
     within = value - needed * reach, value + needed * reach
     tried = tuple(dict.fromkeys((parabola, cubic, best)))
     found = max(gains)
     if not found > needed:
         return Departure("undecidable", found, needed, parabola, (), within, tried)
-    if best != cubic and _saved(own, cubic, (*cubic, best[-1]))[0] > _BEYOND_CUBIC:
+    beyond = 0.0 if best == cubic else _saved(own, cubic, (*cubic, best[-1]))[0]
+    if beyond > _BEYOND_CUBIC_SLOPE * spread:
         return Departure("kink", found, needed, best, (), within, tried)
     kink = max(kinks, key=lambda other: saved[other][0], default=best)
     rivals = tuple(s for s in (cubic, kink) if s not in (best, parabola))
     return Departure("kink or cubic", found, needed, best, rivals, within, tried)
 
 
-def _inner(own: Sequence[FreeRunEquations], hinges: Sequence[int]) -> list[int]:
-    """Return the hinges with scored rows on either side of their knots."""
-    values = np.concatenate([each.columns[each.scored] for each in own])
+def _in_stall(equations: FreeRunEquations, parabola: Support) -> FloatArray:
+    """Return the columns of the scored rows in stall.
+
+    The constant, averaged with the state as all terms are, tells which these are.
+    """
+    scored = equations.columns[equations.scored]
+    return np.asarray(scored[scored[:, parabola[0]] > 0.5])
+
+
+def _inner(own: Sequence[FreeRunEquations], parabola: Support, hinges: Sequence[int]) -> list[int]:
+    """Return the hinges with rows in stall on either side of their knots."""
+    values = np.concatenate([_in_stall(each, parabola) for each in own])
     above = [float(np.mean(values[:, hinge] > 0.0)) for hinge in hinges]
     return [h for h, share in zip(hinges, above, strict=True) if _ENDS[0] < share < _ENDS[1]]
 
@@ -122,14 +126,14 @@ def _saved(
 ) -> tuple[float, float, float]:
     """Return what a last term with one coefficient for all runs saves.
 
-    That is √(share of the squared error saved), the coefficient, and the one of gain 1.
+    That is √(squared error saved / rows), the coefficient, and the one of gain 1.
     """
-    plain = sum(each.profiled(one)[0] for each in own)
+    plain, rows = sum(each.profiled(one)[0] for each in own), sum(each.scored.size for each in own)
     errors, values, information = np.array([each.profiled(other) for each in own]).T
     common = float(information @ values) / float(information.sum())
     saved = plain - float(errors.sum() + information @ (values - common) ** 2)
-    reach = math.sqrt(plain / float(information.sum()))
-    return math.sqrt(max(saved, 0.0) / plain), common, reach
+    reach = math.sqrt(rows / float(information.sum()))
+    return math.sqrt(max(saved, 0.0) / rows), common, reach
 
 
 # A cycle that alone reaches part of the range of φ cannot be foretold by the others: its error
@@ -171,19 +175,18 @@ def select_on_free_run(
     degrees: Sequence[int | None],
     cycles: IndexArray,
     *,
-    judged: FreeRunEquations | None = None,
-    shows_shape: bool = True,
+    judged: Sequence[FreeRunEquations] | None = None,
     max_terms: int = 6,
     common_tau_share: float = 0.0,
     common_curve_share: float = 0.0,
 ) -> SparseRun:
     """Choose a parabola, a cubic or a parabola with a kink, and fit it on free runs.
 
-    The parabola is left only where that saves more of the error than a needless term does, and
-    where the runs show the shape at all. ``names`` and total ``degrees`` are those of the candidate
-    terms, None for one that is no polynomial; ``cycles`` numbers the cycle of each row, which is
-    left out as one. ``judged`` are the same columns with other rows scored, on which terms are
-    chosen: more rows show more of the curve, where they would move τ. The common shares are
+    The parabola is left only where that saves more than a needless term does. ``names`` and total
+    ``degrees`` are those of the candidate terms, None for one that is no polynomial; ``cycles``
+    numbers the cycle of each row, which is left out as one. ``judged`` are the same
+    columns on other rows of each record, which show more of the curve, where they would move τ;
+    none where no record shows the shape. The common shares are
     standard errors of τ, and of the mean of abs(ψ'), that no jackknife over cycles sees.
     """
     columns = equations.columns
@@ -204,9 +207,9 @@ def select_on_free_run(
     ladder = [*polynomial_ladder(powers, most), tuple(range(most))]
     parabola, cubic = ladder[min(1, len(ladder) - 2)], ladder[min(2, max(len(ladder) - 2, 0))]
     hinges = [i for i, name in enumerate(kept) if name.startswith("relu") and most > len(parabola)]
-    judge = equations if judged is None else replace(judged, columns=judged.columns[:, usable])
-    seconds = equations.scored.size * equations.sample_period_s / equations.runs.starts.size
-    found = departure_from(judge, parabola, cubic, hinges, seconds if shows_shape else 0.0)
+    others = [replace(each, columns=each.columns[:, usable]) for each in judged or ()]
+    own = equations.apart() if judged is None else others
+    found = departure_from(own, parabola, cubic, hinges)
     chosen = found.structure
     for structure in found.tried:
         trials.error(structure)

@@ -125,7 +125,7 @@ class FitState(StrEnum):
         "the terms are those that the optimizer proposed, fitted; they were compared with no "
         "others: search='full' does that",
     )
-    OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
+    OK = ("ok", "no larger structure of this library explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",
         "every structure tried is refuted by another; the family of models is wrong or noise is "

@@ -179,7 +179,11 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                         f"{file}: column {name}",
                         expected="a finite number in every row",
                         found=f"{cell!r} in row {row}" if cell else f"an empty cell in row {row}",
-                        remedy="cut the record there or repair the channel; save it with points "
-                        "in all numbers and nothing between thousands",
+                        remedy="cut the record there or repair the channel"
+                        + (
+                            "; save it with points in all numbers and nothing between thousands"
+                            if any(sign.isdigit() for sign in cell)
+                            else ""
+                        ),
                     )
     return None

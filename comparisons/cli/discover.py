@@ -38,8 +38,13 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     if given.loop:
         return _loop(given)
     if not given.states:
+        with open_csv(given.files[0], FileLayout()) as stored:
+            names = ", ".join(name for name in stored.names if name != TIME)
         raise InputError(
-            "--states", expected="the columns that are states", found="none", remedy="name them"
+            "--states",
+            expected="the columns that are states, such as --states x,v",
+            found="none",
+            remedy=f"those of {given.files[0].name} are {names}",
         )
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
     if TIME in (*states, *inputs):
@@ -141,7 +146,9 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             f"{path}: column time_s",
             expected="times that rise without gaps",
             found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
-            remedy="cut the record there and give the parts as files",
+            remedy="sort the rows by time"
+            if np.any(steps < 0.0)
+            else "cut the record there and give the parts as files",
         )
     return table
 

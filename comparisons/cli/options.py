@@ -136,8 +136,8 @@ NO_TWINS = argument(
     "--no-twins",
     action="store_true",
     help="do not measure twins of the records from raw counts: twice as quick, but the interval of "
-    "τ lacks the errors of calibration and of noise near zero flow, and every name of a missing "
-    "effect is provisional",
+    "classic_ml lacks the errors of calibration and of noise near zero flow, and every name of a "
+    "missing effect is provisional",
 )
 # The options of a reduction, which `live` has too; each is stored under the name of the field of
 # the settings behind it.

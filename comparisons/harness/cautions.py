@@ -175,7 +175,7 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
 def _shared_rows(results: tuple[EstimatorResult, ...]) -> list[Caution]:
     """Say whether the two rivals are independent evidence: what they share of the rows."""
     whole = {r.name: r.whole_run for r in results if r.name in ("classic_ml", "sindy")}
-    if len(whole) < 2:
+    if len(whole) < 2 or not any(r.model.measured for r in results if r.name in whole):
         return []
     if all(whole.values()):
         shared = (

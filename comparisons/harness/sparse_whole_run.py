@@ -3,7 +3,7 @@
 Its rows are those in stall and forward flow, the stall cells cancelled and then averaged over one
 period of them; `classic_ml` scores both branches on a shorter average, and its second reading keeps
 the cells. Terms, τ and errors are found by `sindy_surge.sparse_run`, the errors from cycles left
-out; whether the curve is a parabola, against twins of the record.
+out; whether the curve is a parabola is judged on both branches, whose state the record shows best.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.record_reading import RecordReading
-from classic_ml.segments import near
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.branches import design, scored_rows
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import LARGEST_SHARE, from_plane_to_plane, law_of_probes
@@ -47,9 +47,6 @@ from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.types import FloatArray
-
-# Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
-LOWEST_PHI, GUARD_S = 0.01, 0.003
 
 
 @dataclass(frozen=True)
@@ -173,6 +170,7 @@ def fit_sparse_whole_runs(
 
     rows = rows_of(measured)
     equations = equations_of(rows)
+    shapes = [_shape_equations(r, e, library, hold) for r, e in zip(records, ends, strict=True)]
     spread = shared = Spread(0.0, np.zeros((1, 1)))
     if until_s is None and not is_blowdown(plain):
         spread = specification_spread(measured, hold=hold)
@@ -183,8 +181,7 @@ def fit_sparse_whole_runs(
         library.names,
         [polynomial_degree(name, ["phi"]) for name in library.names],
         np.concatenate([row.cycle for row in rows]),
-        judged=equations_of(scored_until([_all_in_stall(row) for row in rows], until_s)),
-        shows_shape=all(map(_shows_shape, records)),
+        judged=[each for each in shapes if each is not None] if None not in shapes else [],
         max_terms=max_terms,
         common_tau_share=math.hypot(spread.log_tau, min(shared.log_tau, LARGEST_SHARE)),
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
@@ -253,20 +250,34 @@ def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeri
     return replace(record, phi_unfiltered=phi, psi_p_unfiltered=known)
 
 
-def _shows_shape(record: CoefficientSeries) -> bool:
-    """Whether cells and state are known well enough: from two rakes, each with hub and tip."""
-    signals = rake_signals_of(record)
-    return signals is not None and not signals.one_rake and signals.hub_minus_tip() is not None
+def _shape_equations(
+    record: CoefficientSeries, until_s: float, library: CandidateTerms, hold: Hold
+) -> FreeRunEquations | None:
+    """Return the candidate terms on the rows of both branches; None where they do not show a shape.
 
-
-def _all_in_stall(row: WholeRunRows) -> WholeRunRows:
-    """Score every row in forward flow whose average holds no unstalled row.
-
-    The first nuisance is the averaged state.
+    That takes two rakes, each with hub and tip. Scored in stall alone, a third of the kinks are
+    found that both branches show: their rows hold the state and its timing.
     """
-    guard = round(GUARD_S / float(row.time_s[1] - row.time_s[0]))
-    left_out = near(row.phi <= LOWEST_PHI, guard, guard) | (row.nuisance[:, 0] > 0.0)
-    return replace(row, weight=np.where(left_out, 0.0, 1.0))
+    signals = rake_signals_of(record)
+    if signals is None or signals.one_rake or signals.hub_minus_tip() is None:
+        return None
+    try:
+        reading = RecordReading.of(signals, window_of(record, until_s), by_flow=False)
+    except InputError:
+        return None
+    passes, spec = reading.passes, replace(reading.spec, hinges=False)
+    inputs, psi_p = design(passes, spec, reading.in_stall)
+    state = passes.smooth(reading.in_stall.astype(np.float64), spec.blend_s)
+    terms = library(passes.phi[:, None])
+    return FreeRunEquations(
+        np.column_stack([passes.smooth(state * term, spec.average_s) for term in terms.T]),
+        inputs[:, spec.degree + 1 :],
+        psi_p,
+        scored_rows(passes, spec).astype(np.float64),
+        Segments.from_labels(passes.piece, passes.piece.size),
+        passes.sample_period_s,
+        hold,
+    )
 
 
 def _result(

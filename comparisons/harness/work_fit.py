@@ -127,7 +127,7 @@ def why_withheld(fit: WorkCharacteristic) -> str:
         )
     if fit.fit_state is FitState.LAG_UNDETERMINED:
         cycles = counted(fit.n_cycles, "cycle")
-        return f"{cycles} are too few to find τ: its error is as large as τ itself."
+        return f"τ does not show in {cycles}: its error is as large as τ itself."
     return fit.fit_state.advice
 
 

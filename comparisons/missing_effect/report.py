@@ -40,6 +40,10 @@ HOW_TWINS = (
     "it, which lack nothing. It is accepted only where it explains more of the squared errors than "
     "of any twin, by a number beyond theirs, and on cycles left out."
 )
+OWN_ERRORS = (
+    "The errors are those of this run alone. What the time from plane to plane and the law of the "
+    "probes near zero flow may do to τ is not in them: quote the τ of `sindy-surge compare`."
+)
 READING = (
     "Top: the stretch on which what was added changes most, of the run that the model misses most, "
     "simulated from its inputs alone; below it what is left. Then the power density of the "
@@ -218,6 +222,8 @@ def _parameters(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
         blocks.append(replace(Table.of(d.parameter_grid()), marks=marks))
     if d.fit_said:
         blocks.append(Words(d.fit_said))
+    if d.whole_runs:
+        blocks.append(Words(OWN_ERRORS, "quiet"))
     return tuple(blocks)
 
 
@@ -275,7 +281,8 @@ def _candidate_grid(rows: Sequence[CandidateRow]) -> Grid:
 
 def _legend(rows: Sequence[CandidateRow]) -> str:
     """Say what the columns of the candidates are."""
-    gains = "held out, other: the gain there, in log-units; z: of the held-out gain"
+    other = ", other" if any(math.isfinite(row.other_record_gain) for row in rows) else ""
+    gains = f"held out{other}: the gain there, in log-units; z: of the held-out gain"
     if any(math.isfinite(row.share) for row in rows):
         return f"explains: the share of the squared errors; asked: the least share; {gains}."
     promised = any(math.isfinite(row.promised) for row in rows)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_records import rig_run, rig_series
+from rig_records import rig_run, rig_series, through_files
 
+from classic_ml.reduction import reduce_record
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
@@ -20,6 +21,7 @@ from comparisons.harness.saved_models import load_models, save_models
 from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
 from comparisons.harness.tau_trial import trial_of
 from comparisons.results import Comparison
+from comparisons.rig.drawn import draw_run
 from comparisons.show.json_output import comparison_document
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
@@ -61,10 +63,8 @@ def test_the_true_parabola_is_not_left() -> None:
     chosen = [fitted(case, seed).terms_ for case, seed in RECORDS]
     assert chosen == [["1", "phi", "phi^2"]] * 4
     fit = fitted("985", 0)
-    assert len(fit.candidate_terms_) >= 15
     (row,) = [row for row in fit.path_ if row.chosen]
     assert list(row.terms) == fit.terms_
-    assert len(fit.path_) >= 2
 
 
 def test_without_its_rakes_two_codes_agree_on_the_parabola() -> None:
@@ -88,6 +88,12 @@ def test_a_cubic_of_150_beside_the_parabola_is_undecidable() -> None:
     assert low < 0.0
     assert high > 150.0
     assert "does not decide" in parabola.cautions_[0]
+
+
+def test_a_kink_of_the_plant_is_not_taken_for_a_parabola() -> None:
+    run, _ = draw_run(np.random.default_rng([81, 9]), "985", "kink 25")
+    found = fit_sparse_whole_runs([reduce_record(*through_files(run)).series]).departure_
+    assert found.gain > 2.0 * found.needed
 
 
 @pytest.mark.parametrize("n_scored", [0, 12])
@@ -116,7 +122,6 @@ def test_what_is_held_out_does_not_reach_the_fit() -> None:
     plain, other = (fit_sparse_whole_runs([r], until_s=[end]) for r in (record, spoilt))
     assert plain.terms_ == other.terms_
     assert other.time_constant_s_ == pytest.approx(plain.time_constant_s_, rel=1e-6)
-    assert plain.n_scored_ < fitted("985", 0).n_scored_
 
 
 def test_several_records_are_one_fit_in_any_order() -> None:
