@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import os
 import re
 import shlex
 import subprocess
 import sys
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sybil import Example, Sybil
@@ -29,8 +28,9 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "from_your_file.md", *sorted((DOCS / "tutorials").glob("*.md"))]
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-# Another processor may round the last digit that is shown the other way.
-DIGITS = 1.01
+ERROR = re.compile(rf"({NUMBER.pattern})(?:\s±\s({NUMBER.pattern})|\((\d+)\))")
+# Another processor rounds the last digit otherwise, and ends a search 0.2 standard errors away.
+DIGITS, FLAT = 1.01, 0.3
 
 
 def run_block(example: Example) -> None:
@@ -91,46 +91,46 @@ def run_command(command: str, folder: Path) -> tuple[int, str]:
 
 def assert_agrees(shown: str, found: str) -> None:
     lines = [line.rstrip() for line in found.rstrip().splitlines()]
-    at = 0
-    anywhere = False
+    stated = [(n, float(e or float(d) * digit_of(n))) for n, e, d in ERROR.findall(shown)]
+    errors = dict(sorted(stated, key=itemgetter(1)))
+    at, anywhere = 0, False
     for line in shown.rstrip().splitlines():
         if line.strip() == "...":
             anywhere = True
             continue
         if anywhere:
-            while at < len(lines) and not same_line(line, lines[at]):
+            while at < len(lines) and not same_line(line, lines[at], errors):
                 at += 1
         assert at < len(lines), f"not printed: {line}\nnow prints\n{found}"
-        assert same_line(line, lines[at]), f"{line}\nnow prints\n{lines[at]}\nof\n{found}"
+        assert same_line(line, lines[at], errors), f"{line}\nnow prints\n{lines[at]}\nof\n{found}"
         at, anywhere = at + 1, False
     assert anywhere or at == len(lines), f"the page shows less than is printed:\n{found}"
 
 
-def same_line(shown: str, found: str) -> bool:
+def same_line(shown: str, found: str, errors: dict[str, float]) -> bool:
     if " ".join(NUMBER.sub("0", shown).split()) != " ".join(NUMBER.sub("0", found).split()):
         return False
-    pairs = zip(NUMBER.findall(shown), NUMBER.findall(found), strict=True)
-    return all(same_number(one, other) for one, other in pairs)
+    texts = (re.sub(r"(?<=\d)\((\d+)\)", r"(0.\1)", text) for text in (shown, found))
+    pairs = zip(*map(NUMBER.findall, texts), strict=True)
+    return all(same_number(one, other, errors.get(one, 0.0)) for one, other in pairs)
 
 
-def same_number(shown: str, found: str) -> bool:
-    """Compare to the digits shown; whole numbers are counted, not rounded."""
+def same_number(shown: str, found: str, error: float) -> bool:
+    """Compare to the digits shown or the error; whole numbers are counted, not rounded."""
     one, other = (float(text.replace("−", "-")) for text in (shown, found))
-    mantissa, _, power = shown.partition("e")
-    if "." not in mantissa:
-        return one == other
-    digit = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
-    return math.isclose(one, other, rel_tol=0.0, abs_tol=DIGITS * digit)
+    digits = DIGITS * digit_of(shown) if "." in shown else 0.0
+    return abs(one - other) <= max(digits, FLAT * error)
 
 
-def blocks_of(page: Path) -> Any:
-    languages = set(re.findall(r"^```(?:\{code-block\} *)?(\w+)$", page.read_text("utf-8"), re.M))
-    return Sybil([CodeBlockParser(language, run_block) for language in languages]).parse(page)
+def digit_of(number: str) -> float:
+    mantissa, _, power = number.partition("e")
+    return float(10.0 ** (int(power or 0) - len(mantissa.partition(".")[2])))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_shows_what_its_blocks_print(page: Path, tmp_path: Path) -> None:
-    document = blocks_of(page)
+    languages = set(re.findall(r"^```(?:\{code-block\} *)?(\w+)$", page.read_text("utf-8"), re.M))
+    document = Sybil([CodeBlockParser(name, run_block) for name in languages]).parse(page)
     document.namespace.update(folder=tmp_path, names={"__name__": "__main__"})
     examples = list(document.examples())
     assert examples
