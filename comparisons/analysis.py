@@ -142,8 +142,9 @@ def analyse(
     )
     work = tried("work", lambda: withheld_if_vague(fit_work(record, described, progress=progress)))
     readings = []
-    # Where sindy is the one to quote, the structure is the same fit once more.
-    if structure and not structure.refused and comparison.recommended != "sindy":
+    # On whole runs the structure is the fit of sindy once more.
+    again = structure and structure.fitted_to == "whole runs" and comparison.recommended == "sindy"
+    if structure and not structure.refused and not again:
         fit = structure.fit
         shared = getattr(fit, "measurement_share_", 0.0)
         tau = fit.time_constant_s_, fit.time_constant_stderr_s_

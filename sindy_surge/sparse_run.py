@@ -24,9 +24,9 @@ from surge_core.fit_state import FitState
 from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
-# Gain is √(squared error saved / rows); by the standard deviation of φ in stall, a slope. On 84
-# true parabolas of machines drawn at random that slope was 0.12 in the middle, 0.25 for nine of ten
-# and 0.32 for 95 %, on 25 pairs of them 0.31.
+# Gain is √(squared error saved / rows); by the standard deviation of φ in stall, averaged with the
+# state as all terms are, a slope. On 84 true parabolas of machines drawn at random that slope was
+# 0.12 in the middle, 0.25 for nine of ten and 0.32 for 95 %, on 25 pairs of them 0.31.
 _NEEDED_SLOPE = 0.33
 # Beyond a cubic, the slope of a kink where the truth is a cubic of 600: 95 % below.
 _BEYOND_CUBIC_SLOPE = 0.95
@@ -57,18 +57,18 @@ class Departure:
         if self.finding == "undecidable":
             if not math.isfinite(self.needed):
                 return (
-                    "whether the curve is a parabola was not judged: that takes four terms and two "
-                    "rakes, each with hub and tip"
+                    "whether the curve is a parabola was not judged: that takes four terms, two "
+                    "rakes with hub and tip each, and rows in stall on both sides of a knot"
                 )
             return (
                 "the record does not decide whether the curve is a parabola: a kink or a cubic "
-                f"lowers the error no more than on true parabolas (ψ' by {self.gain:.3f}, needed "
+                f"saves no more than on true parabolas (rms {self.gain:.3f} of ψ', needed "
                 f"{self.needed:.3f}). A term of {low:.0f} to {high:.0f} φ³ fits as well"
             )
         which = "a kink" if self.finding == "kink" else "a kink or a cubic, which are rivals here"
         return (
-            f"the curve is no parabola but has {which} (ψ' by {self.gain:.3f}, needed "
-            f"{self.needed:.3f}; as a cubic {low:.0f} to {high:.0f} φ³)"
+            f"the curve is no parabola but has {which} (it saves rms {self.gain:.3f} of ψ', "
+            f"needed {self.needed:.3f}; as a cubic {low:.0f} to {high:.0f} φ³)"
         )
 
 
@@ -89,7 +89,8 @@ def departure_from(
     saved = {other: _saved(own, parabola, other) for other in others}
     gains = [saved[other][0] for other in others]
     best = others[int(np.argmax(gains))]
-    spread = math.sqrt(np.mean([np.var(_in_stall(e, parabola)[:, parabola[1]]) for e in own]))
+    variances = [float(np.var(_in_stall(each, parabola)[:, parabola[1]])) for each in own]
+    spread = math.sqrt(np.average(variances, weights=[each.scored.size for each in own]))
     needed = _NEEDED_SLOPE * spread
     _, value, reach = saved.get(cubic, (0.0, 0.0, math.inf))
     within = value - needed * reach, value + needed * reach
@@ -186,7 +187,7 @@ def select_on_free_run(
     ``degrees`` are those of the candidate terms, None for one that is no polynomial; ``cycles``
     numbers the cycle of each row, which is left out as one. ``judged`` are the same
     columns on other rows of each record, which show more of the curve, where they would move τ;
-    none where no record shows the shape. The common shares are
+    empty where a record does not show the shape. The common shares are
     standard errors of τ, and of the mean of abs(ψ'), that no jackknife over cycles sees.
     """
     columns = equations.columns
@@ -199,6 +200,7 @@ def select_on_free_run(
     usable = independent_columns(equations.simulated(pilot_s))
     if not usable.size:
         return SparseRun()
+    most = min(most, usable.size)
     equations = replace(equations, columns=columns[:, usable])
     blocks = equations.blocks(cycles, pilot_s)
     trials = Trials(equations, [(rows, rows) for rows in blocks], _MOST_LEVERAGE)

@@ -170,18 +170,18 @@ def fit_sparse_whole_runs(
 
     rows = rows_of(measured)
     equations = equations_of(rows)
-    shapes = [_shape_equations(r, e, library, hold) for r, e in zip(records, ends, strict=True)]
+    readings = _readings(records, ends)
     spread = shared = Spread(0.0, np.zeros((1, 1)))
     if until_s is None and not is_blowdown(plain):
         spread = specification_spread(measured, hold=hold)
-        shared = measurement_spread(records)
+        shared = measurement_spread(readings)
     level = math.hypot(spread.level(scored_phi), shared.level(scored_phi))
     found = select_on_free_run(
         equations,
         library.names,
         [polynomial_degree(name, ["phi"]) for name in library.names],
         np.concatenate([row.cycle for row in rows]),
-        judged=[each for each in shapes if each is not None] if None not in shapes else [],
+        judged=[] if is_blowdown(plain) else _shape_equations(readings, library, hold),
         max_terms=max_terms,
         common_tau_share=math.hypot(spread.log_tau, min(shared.log_tau, LARGEST_SHARE)),
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
@@ -213,7 +213,27 @@ def _withheld(
     return None
 
 
-def measurement_spread(records: Sequence[CoefficientSeries]) -> Spread:
+def _readings(
+    records: Sequence[CoefficientSeries], ends: Sequence[float]
+) -> list[RecordReading | None] | None:
+    """Return the records as read on both branches, None for those without hub and tip.
+
+    None for all where one cannot be read.
+    """
+    found: list[RecordReading | None] = []
+    for record, end in zip(records, ends, strict=True):
+        signals = rake_signals_of(record)
+        if signals is None or signals.hub_minus_tip() is None:
+            found.append(None)
+            continue
+        try:
+            found.append(RecordReading.of(signals, window_of(record, end), by_flow=False))
+        except InputError:
+            return None
+    return found
+
+
+def measurement_spread(readings: Sequence[RecordReading | None] | None) -> Spread:
     """Return what no fit sees in its rows: the time from plane to plane, and Eq 2 near zero flow.
 
     Both are of the measurement; how far they move τ is taken from the fit to both branches. A
@@ -221,12 +241,10 @@ def measurement_spread(records: Sequence[CoefficientSeries]) -> Spread:
     signals of their probe pairs, or with one immersion, have no part in it.
     """
     worst = Spread(0.0, np.zeros((1, 1)))
-    for record in records:
-        signals = rake_signals_of(record)
-        if signals is None or signals.hub_minus_tip() is None:
-            continue
+    if readings is None:
+        return Spread(math.inf, np.zeros((1, 1)))
+    for reading in filter(None, readings):
         try:
-            reading = RecordReading.of(signals, window_of(record), by_flow=False)
             fit = reading.fit()
             planes = from_plane_to_plane(reading, fit)[2]
             log_tau = math.hypot(planes.log_tau, law_of_probes(reading, fit))
@@ -251,33 +269,33 @@ def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeri
 
 
 def _shape_equations(
-    record: CoefficientSeries, until_s: float, library: CandidateTerms, hold: Hold
-) -> FreeRunEquations | None:
-    """Return the candidate terms on the rows of both branches; None where they do not show a shape.
+    readings: Sequence[RecordReading | None] | None, library: CandidateTerms, hold: Hold
+) -> list[FreeRunEquations]:
+    """Return the candidate terms on the rows of both branches; none where these show no shape.
 
-    That takes two rakes, each with hub and tip. Scored in stall alone, a third of the kinks are
-    found that both branches show: their rows hold the state and its timing.
+    That takes two rakes in each record, with hub and tip. Scored in stall alone, a third of the
+    kinks are found that both branches show: their rows hold the state and its timing.
     """
-    signals = rake_signals_of(record)
-    if signals is None or signals.one_rake or signals.hub_minus_tip() is None:
-        return None
-    try:
-        reading = RecordReading.of(signals, window_of(record, until_s), by_flow=False)
-    except InputError:
-        return None
-    passes, spec = reading.passes, replace(reading.spec, hinges=False)
-    inputs, psi_p = design(passes, spec, reading.in_stall)
-    state = passes.smooth(reading.in_stall.astype(np.float64), spec.blend_s)
-    terms = library(passes.phi[:, None])
-    return FreeRunEquations(
-        np.column_stack([passes.smooth(state * term, spec.average_s) for term in terms.T]),
-        inputs[:, spec.degree + 1 :],
-        psi_p,
-        scored_rows(passes, spec).astype(np.float64),
-        Segments.from_labels(passes.piece, passes.piece.size),
-        passes.sample_period_s,
-        hold,
-    )
+    found: list[FreeRunEquations] = []
+    for reading in readings or ():
+        if reading is None or reading.signals.one_rake:
+            return []
+        # The hinges above the flow of recovery would take up a kink.
+        passes, spec = reading.passes, replace(reading.spec, hinges=False)
+        inputs, psi_p = design(passes, spec, reading.in_stall)
+        state = passes.smooth(reading.in_stall.astype(np.float64), spec.blend_s)
+        terms = library(passes.phi[:, None])
+        each = FreeRunEquations(
+            np.column_stack([passes.smooth(state * term, spec.average_s) for term in terms.T]),
+            inputs[:, spec.degree + 1 :],
+            psi_p,
+            scored_rows(passes, spec).astype(np.float64),
+            Segments.from_labels(passes.piece, passes.piece.size),
+            passes.sample_period_s,
+            hold,
+        )
+        found.append(each)
+    return found
 
 
 def _result(

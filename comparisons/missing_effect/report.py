@@ -42,7 +42,7 @@ HOW_TWINS = (
 )
 OWN_ERRORS = (
     "The errors are those of this run alone. What the time from plane to plane and the law of the "
-    "probes near zero flow may do to τ is not in them; in those of `sindy-surge compare` it is."
+    "probes near zero flow may do to τ is not in them; `sindy-surge compare` counts it in."
 )
 READING = (
     "Top: the stretch on which what was added changes most, of the run that the model misses most, "

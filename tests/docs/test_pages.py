@@ -28,9 +28,9 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "from_your_file.md", *sorted((DOCS / "tutorials").glob("*.md"))]
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-ERROR = re.compile(rf"({NUMBER.pattern})(?:\s±\s({NUMBER.pattern})|\((\d+)\))")
+ERROR = re.compile(rf"({NUMBER.pattern})(?:\s±\s({NUMBER.pattern})|\((\d+(?:\.\d+)?)\))")
 # Another processor rounds the last digit otherwise, and ends a search 0.2 standard errors away.
-DIGITS, FLAT = 1.01, 0.3
+DIGITS, OF_ERROR = 1.01, 0.3
 
 
 def run_block(example: Example) -> None:
@@ -91,7 +91,8 @@ def run_command(command: str, folder: Path) -> tuple[int, str]:
 
 def assert_agrees(shown: str, found: str) -> None:
     lines = [line.rstrip() for line in found.rstrip().splitlines()]
-    stated = [(n, float(e or float(d) * digit_of(n))) for n, e, d in ERROR.findall(shown)]
+    last = {n: 1.0 if "." in d else digit_of(n) for n, _, d in ERROR.findall(shown)}
+    stated = [(n, float(e or float(d) * last[n])) for n, e, d in ERROR.findall(shown)]
     errors = dict(sorted(stated, key=itemgetter(1)))
     at, anywhere = 0, False
     for line in shown.rstrip().splitlines():
@@ -118,8 +119,7 @@ def same_line(shown: str, found: str, errors: dict[str, float]) -> bool:
 def same_number(shown: str, found: str, error: float) -> bool:
     """Compare to the digits shown or the error; whole numbers are counted, not rounded."""
     one, other = (float(text.replace("−", "-")) for text in (shown, found))
-    digits = DIGITS * digit_of(shown) if "." in shown else 0.0
-    return abs(one - other) <= max(digits, FLAT * error)
+    return abs(one - other) <= ("." in shown) * max(DIGITS * digit_of(shown), OF_ERROR * error)
 
 
 def digit_of(number: str) -> float:
