@@ -5,7 +5,7 @@ And terms, nuisances, τ and starts fitted to the scored rows of free runs (vari
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -114,22 +114,6 @@ class FreeRunEquations:
         left = _projected(stacked[:, n:-1], stacked[:, :n])
         own = np.linalg.norm(left, axis=0) > _ALIAS * np.linalg.norm(stacked[:, n:-1], axis=0)
         return np.where(own, left, 0.0)
-
-    def apart(self) -> list[FreeRunEquations]:
-        """Return the equations of each run alone."""
-        slices = self.runs.slices()
-        return [self._of_run(rows) for rows in slices] if len(slices) > 1 else [self]
-
-    def _of_run(self, rows: slice) -> FreeRunEquations:
-        nuisance = self.nuisance[rows]
-        return replace(
-            self,
-            columns=self.columns[rows],
-            nuisance=nuisance[:, np.ptp(nuisance, axis=0) > 0.0],
-            output=self.output[rows],
-            weight=self.weight[rows],
-            runs=Segments.from_labels(None, rows.stop - rows.start),
-        )
 
     def profiled(self, support: Support) -> tuple[float, float, float]:
         """Return the least squared error over a grid of τ, and the last term's coefficient there.

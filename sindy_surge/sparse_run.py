@@ -175,8 +175,8 @@ def select_on_free_run(
     names: Sequence[str],
     degrees: Sequence[int | None],
     cycles: IndexArray,
+    judged: Sequence[FreeRunEquations],
     *,
-    judged: Sequence[FreeRunEquations] | None = None,
     max_terms: int = 6,
     common_tau_share: float = 0.0,
     common_curve_share: float = 0.0,
@@ -185,10 +185,10 @@ def select_on_free_run(
 
     The parabola is left only where that saves more than a needless term does. ``names`` and total
     ``degrees`` are those of the candidate terms, None for one that is no polynomial; ``cycles``
-    numbers the cycle of each row, which is left out as one. ``judged`` are the same
-    columns on other rows of each record, which show more of the curve, where they would move τ;
-    empty where a record does not show the shape. The common shares are
-    standard errors of τ, and of the mean of abs(ψ'), that no jackknife over cycles sees.
+    numbers the cycle of each row, which is left out as one. ``judged`` are the same columns on
+    other rows of each record, which show more of the curve, where they would move τ; empty where a
+    record does not show the shape. The common shares are standard errors of τ, and of the mean of
+    abs(ψ'), that no jackknife over cycles sees.
     """
     columns = equations.columns
     most = min(max_terms, columns.shape[1])
@@ -209,8 +209,7 @@ def select_on_free_run(
     ladder = [*polynomial_ladder(powers, most), tuple(range(most))]
     parabola, cubic = ladder[min(1, len(ladder) - 2)], ladder[min(2, max(len(ladder) - 2, 0))]
     hinges = [i for i, name in enumerate(kept) if name.startswith("relu") and most > len(parabola)]
-    others = [replace(each, columns=each.columns[:, usable]) for each in judged or ()]
-    own = equations.apart() if judged is None else others
+    own = [replace(each, columns=each.columns[:, usable]) for each in judged]
     found = departure_from(own, parabola, cubic, hinges)
     chosen = found.structure
     for structure in found.tried:

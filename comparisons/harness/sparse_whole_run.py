@@ -181,7 +181,7 @@ def fit_sparse_whole_runs(
         library.names,
         [polynomial_degree(name, ["phi"]) for name in library.names],
         np.concatenate([row.cycle for row in rows]),
-        judged=[] if is_blowdown(plain) else _shape_equations(readings, library, hold),
+        [] if is_blowdown(plain) else _shape_equations(readings, library, hold),
         max_terms=max_terms,
         common_tau_share=math.hypot(spread.log_tau, min(shared.log_tau, LARGEST_SHARE)),
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),

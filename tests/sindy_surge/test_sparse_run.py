@@ -77,9 +77,14 @@ class Made:
         }
         given |= options
         own = [given.pop(name) for name in ("columns", "nuisance", "output", "weight", "runs")]
-        own[-1] = Segments.from_labels(own[-1], self.phi.size)
-        equations = FreeRunEquations(*own, given.pop("sample_period_s"), "first")
-        return select_on_free_run(equations, **given)
+        period_s = given.pop("sample_period_s")
+
+        def equations(rows: np.ndarray) -> FreeRunEquations:
+            *values, run = (each[rows] for each in own)
+            return FreeRunEquations(*values, Segments.from_labels(run, run.size), period_s, "first")
+
+        judged = [equations(own[-1] == run) for run in np.unique(own[-1])]
+        return select_on_free_run(equations(own[-1] >= 0), judged=judged, **given)
 
 
 def average(values: np.ndarray) -> np.ndarray:

@@ -40,8 +40,7 @@ def files(tmp_path):
 def test_equations_reach_json_and_page(files, tmp_path, capsys):
     out, page = tmp_path / "d.json", tmp_path / "d.html"
     given = [*map(str, files), "--states", "x,v", "--json", str(out), "--report", str(page)]
-    library = "--library", "poly1+sin(x)+sqrt(v)+cos(x)+abs(v)"
-    assert main(["discover", *given, *library]) == 0
+    assert main(["discover", *given, "--library", "poly1+sin(x)+sqrt(v)+cos(x)+abs(v)"]) == 0
     document = json.loads(out.read_text())
     assert document["schema"] == "sindy-surge/discover/1"
     found = {
