@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.levels import Level, search_by_levels
-from sindy_surge.discover.trajectories import Features, Trajectories
+from sindy_surge.discover.trajectories import LEAST_NOISE, Features, Trajectories
 from sindy_surge.search import Tried
 from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
@@ -23,10 +23,11 @@ _HIDDEN_FREEDOM = 10.0
 _RIVAL = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
-# Of white noise the correlation of neighbours scatters by 1/√N.
-_WHITE_SIGMAS = 5.0
-# What is left over the noise that differences show, before a run of it counts.
-_EXCESS = 1.2
+# Lags at which what the equations leave is held against white noise, and how rarely that may fail
+# by chance. A pendulum with cubic terms and 2 % noise left 1.03 times the noise, and errors of its
+# coefficients of seven stated ones.
+_LAGS = 10
+_BY_CHANCE = 1e-4
 
 
 class SparseDynamics(BaseEstimator):
@@ -381,17 +382,28 @@ class SparseDynamics(BaseEstimator):
     def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
-        left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
-        together = problem.data.within()[:, None] * left[1:] * left[:-1]
-        coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
-        seen = problem.data.noise[~problem.hidden]
-        above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
-        white = _WHITE_SIGMAS / np.sqrt(len(left))
-        if np.any((coloured > white) & above):
+        if not _is_white(problem, best.fit):
             return FitState.UNEXPLAINED
         if problem.rows is not None:
             return FitState.SHORT_RUNS_ONLY
         return FitState.OK if self.search == "full" else FitState.PROPOSED
+
+
+def _is_white(problem: Collocation, fit: Fit) -> bool:
+    """Tell whether what the equations leave of each measured state is white (Ljung & Box 1978).
+
+    Below the noise assumed at least, rounding and the rule of integration show.
+    """
+    from scipy.stats import chi2
+
+    left = problem.data.y - fit.x
+    shown = np.std(left, axis=0) > LEAST_NOISE * np.std(problem.data.y, axis=0)
+    left = left[:, shown & ~problem.hidden]
+    n, offset, q = len(left), problem.data.runs.offsets(), np.zeros(left.shape[1])
+    for lag in range(1, _LAGS + 1):
+        pairs = (offset[lag:] >= lag)[:, None] * left[lag:] * left[:-lag]
+        q += n * (n + 2) / (n - lag) * (pairs.sum(axis=0) / np.sum(left**2, axis=0)) ** 2
+    return bool(np.all(chi2.sf(q, _LAGS) > _BY_CHANCE))
 
 
 def _moving(y: FloatArray, names: Sequence[str] | None) -> None:

@@ -155,6 +155,18 @@ def test_a_missing_state_is_not_called_ok():
     assert model.state_.code in ("unexplained", "no_equations")
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_term_that_the_library_lacks_is_not_called_ok(seed):
+    """A pendulum by cubic terms leaves 1.03 times the noise: little, but not white."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1500) * STEP_S
+    run = solve_ivp(
+        lambda _, z: [z[1], -np.sin(z[0]) - 0.1 * z[1]], (0, t[-1]), [2.0, 0.0], t_eval=t, rtol=1e-9
+    ).y.T
+    noisy = run + 0.02 * run.std(axis=0) * rng.standard_normal(run.shape)
+    assert SparseDynamics().fit(noisy, t).state_.code == "unexplained"
+
+
 @pytest.mark.parametrize(
     ("options", "where"),
     [
