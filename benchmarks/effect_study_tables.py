@@ -5,8 +5,7 @@ A row is one test and what was said of it, as `effect_study.py` writes it.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,6 @@ from comparisons.rig.coefficient_effects import EFFECTS
 
 Row = dict[str, Any]
 
-# A bump is a smooth function that the base lacks, but in no form that a catalogue could hold.
-NOT_EXACT = "characteristic_shape"
 NOISE_EFFECT = "flow_noise"
 NAMES = (*EFFECTS, NOISE_EFFECT)
 FIRM = ("named", "alias_set")
@@ -109,11 +106,6 @@ def pair_outcome(row: Row) -> str:
     return ("" if row["verdict"] in FIRM else "prov. ") + word + (" +" if extra else "")
 
 
-def kind(rows: Iterable[Row], name: str) -> list[Row]:
-    """Return the rows of one part of the study."""
-    return [row for row in rows if row["kind"] == name]
-
-
 def tau_error_before(row: Row) -> float:
     """Return the error of τ before, in per cent."""
     return 100.0 * abs(row["tau_before_s"] / row["tau_true_s"] - 1.0)
@@ -161,174 +153,67 @@ def confusion(rows: Sequence[Row], label: Callable[[Row], str], title: str) -> s
 
 
 def per_effect(rows: Sequence[Row]) -> str:
-    """Return how each effect came out, with the errors of τ."""
+    """Return how each effect came out, with the errors of τ, and all together."""
     table = measured(rows)
     groups = table.groupby("planted", sort=False)
     counts = pd.crosstab(table["planted"], pd.Series([outcome(row) for row in rows]))
     shown = counts.reindex(index=list(groups.groups), columns=OUTCOMES, fill_value=0)
     shown.insert(0, "n", groups.size())
-    medians = groups[["tau before %", "tau after %", "gap closed"]].median()
-    return text_of(shown.join(medians))
+    measures = ["tau before %", "tau after %", "gap closed", "seconds"]
+    shown = shown.join(groups[measures].median())
+    shown.loc["all"] = [*shown.drop(columns=measures).sum(), *table[measures].median()]
+    return text_of(shown.astype(dict.fromkeys(("n", *OUTCOMES), int)))
 
 
-def upper_bound(hits: int, n: int) -> float:
-    """Return the 95 % upper bound of a rate (Clopper and Pearson)."""
-    return 1.0 if hits >= n else float(beta.ppf(0.95, hits + 1, n - hits))
+def per_noise(rows: Sequence[Row]) -> str:
+    """Return how often something was named where nothing is missing, by kind of noise."""
+    false = pd.Series([bool(false_names(row)) for row in rows])
+    shown = false.groupby([row["noise"] for row in rows], sort=False).agg(["size", "sum"])
+    hits, n = int(false.sum()), len(rows)
+    # Clopper and Pearson.
+    most = 1.0 if hits >= n else float(beta.ppf(0.95, hits + 1, n - hits))
+    rate = f"false names in 1000: {1000 * hits / n:.1f}, 95 % bound {1000 * most:.1f}"
+    return f"{text_of(shown.set_axis(['n', 'false'], axis=1))}\n{rate}"
 
 
-def figures(rows: Sequence[Row], strength: float = 1.5) -> str:
-    """Return the figures that the study is for, each with what is wanted of it."""
-    lines = []
-    effects = kind(rows, "effect")
-    for title, mine in (
-        ("exact-form effects", [r for r in effects if r["planted"][0] != NOT_EXACT]),
-        ("a bump in the characteristic", [r for r in effects if r["planted"][0] == NOT_EXACT]),
-    ):
-        if mine:
-            lines += [f"{title}, {len(mine)} tests", *_naming_figures(mine)]
-    lines += _null_figures(kind(rows, "null"))
-    outside = kind(rows, "outside")
-    if outside:
-        firm = sum(bool(firm_names(row)) for row in outside)
-        lines.append(f"outside the catalogue, {len(outside)} tests")
-        lines.append(f"  firm names                     {firm}   (wanted: none)")
-    lines += _numbers(effects, strength)
-    weak = Counter(
-        row["planted"][0]
-        for row in effects + outside
-        if any(got < 0.98 * row["strength"] for got in row["reached"].values())
-    )
-    if weak:
-        lines.append(f"weaker than asked, for it cannot be made stronger: {dict(weak)}")
-    return "\n".join(lines)
-
-
-def _naming_figures(rows: Sequence[Row]) -> list[str]:
-    n = len(rows)
-    count = Counter(outcome(row) for row in rows)
-    firm = count["unique"] + count["set"] + count["extra"]
-    inside = firm + count["prov. right"]
-    wrong = count["WRONG"] + count["extra"]
-    largest = max((len(set(i["alias_set"])) for r in rows for i in names_of(r)), default=0)
-    return [
-        f"  truth inside the named set     {100 * inside / n:.1f} %   (wanted: 99; firmly "
-        f"{100 * firm / n:.1f})",
-        f"  named uniquely and rightly     {100 * count['unique'] / n:.1f} %   (wanted: 70)",
-        f"  largest set                    {largest}   (wanted: at most 3)",
-        f"  wrong names                    {100 * wrong / n:.2f} %   (wanted: at most 0.3; "
-        f"{count['extra']} of {wrong} beside the right one)",
-    ]
-
-
-def _null_figures(rows: Sequence[Row]) -> list[str]:
-    if not rows:
-        return []
-    lines = [f"nothing missing, {len(rows)} tests: false names"]
-    for noise, mine in _by(rows, lambda row: row["noise"]):
-        hits = sum(bool(false_names(row)) for row in mine)
-        lines.append(f"  {noise:<10}{hits:>4} of {len(mine):<5} {_verdicts(mine, false_names)}")
-    total = sum(bool(false_names(row)) for row in rows)
-    lines.append(
-        f"  in 1000                        {1000 * total / len(rows):.1f}   (wanted: at most 2; "
-        f"95 % bound {1000 * upper_bound(total, len(rows)):.1f})"
-    )
-    return lines
-
-
-def _by(rows: Iterable[Row], label: Callable[[Row], Any]) -> Iterator[tuple[Any, list[Row]]]:
-    """Yield the rows of each label, in the order in which the labels come."""
-    groups: dict[Any, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(label(row), []).append(row)
-    yield from groups.items()
-
-
-def _verdicts(rows: Sequence[Row], names: Callable[[Row], list[str]]) -> str:
-    """Return how often each verdict was given, and each name that counts against it."""
-    given = _counted(row["verdict"] or "error" for row in rows)
-    counted = Counter(name for row in rows for name in names(row))
-    return f"[{given}]" + (f"   {dict(counted)}" if counted else "")
-
-
-def _counted(words: Iterable[str], most: int | None = None) -> str:
-    return ", ".join(f"{word} {n}" for word, n in Counter(words).most_common(most))
-
-
-def _numbers(rows: Sequence[Row], strength: float) -> list[str]:
-    done = [row for row in rows if not row["error"]]
-    if not done:
-        return []
-    table = measured(done)
-    at = table[table["strength"] == strength]
-    lines = []
-    if len(at):
-        lines.append(
-            f"held-out gap closed at {strength:g} sigma  {100 * at['gap closed'].median():.1f} %   "
-            f"(median, wanted: 95; by its own floor {100 * at['shrink'].median():.1f})"
-        )
-    lines.append(
-        f"error of tau after               {table['tau after %'].median():.3f} %   "
-        f"(median, wanted: at most 0.2; before {table['tau before %'].median():.3f})"
-    )
-    lines.append(
-        f"processor seconds a diagnosis    {table['seconds'].median():.2f}   "
-        f"(median, wanted: at most 1; most {table['seconds'].max():.2f})"
-    )
-    return lines
+def per_outside(rows: Sequence[Row]) -> str:
+    """Return what was said of effects that no catalogue holds: no firm name is the right answer."""
+    planted = pd.Series([row["planted"][0] for row in rows], name="outside the catalogue")
+    shown = pd.crosstab(planted, [row["verdict"] or "error" for row in rows], colnames=[""])
+    shown.insert(0, "firm names", pd.Series(map(len, map(firm_names, rows))).groupby(planted).sum())
+    return text_of(shown)
 
 
 def pairs_table(rows: Sequence[Row]) -> str:
     """Return how the pairs came out."""
     table = measured(rows)
-    table["outcomes"] = [pair_outcome(row) for row in rows]
-    groups = table.groupby("planted", sort=False)
-    shown = groups[["tau before %", "tau after %"]].median()
-    shown.insert(0, "n", groups.size())
-    return text_of(shown.join(groups["outcomes"].apply(_counted)))
+    counts = pd.crosstab(table["planted"], [pair_outcome(row) for row in rows], colnames=[""])
+    medians = table.groupby("planted", sort=False)[["tau before %", "tau after %"]].median()
+    return text_of(counts.join(medians))
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return all tables that the rows allow."""
+    """Return all tables that the rows allow, and what is counted against the diagnosis."""
     parts = []
-    effects, nulls, outside = (kind(rows, name) for name in ("effect", "null", "outside"))
-    if effects:
-        parts.append(confusion(effects, lambda r: r["planted"][0], "planted \\ ranked first"))
-    if nulls:
-        parts.append(confusion(nulls, lambda r: r["noise"], "nothing missing, noise"))
-    if outside:
-        parts.append(confusion(outside, lambda r: r["planted"][0], "outside the catalogue"))
-        parts.append(
-            "\n".join(
-                f"{name:<25}{len(mine):>4}  {_verdicts(mine, firm_names)}"
-                for name, mine in _by(outside, lambda row: row["planted"][0])
-            )
-        )
-    for some, table in (
-        (effects, per_effect),
-        (kind(rows, "pair"), pairs_table),
+    for name, label, title, table in (
+        ("effect", lambda r: r["planted"][0], "planted \\ ranked first", per_effect),
+        ("null", lambda r: r["noise"], "nothing missing, noise", per_noise),
+        ("outside", lambda r: r["planted"][0], "outside the catalogue", per_outside),
+        ("pair", lambda r: " + ".join(r["planted"]), "pairs", pairs_table),
     ):
-        if some:
-            parts.append(table(some))
-    parts += [figures(rows), failures(rows)]
-    return "\n\n".join(part for part in parts if part)
+        if some := [row for row in rows if row["kind"] == name]:
+            parts += [confusion(some, label, title), table(some)]
+    against = [line for row in rows if (line := _against(row))]
+    return "\n\n".join([*parts, *(["counted against it:", *against] if against else [])])
 
 
-def failures(rows: Sequence[Row]) -> str:
-    """List every row that a figure counts against, so that it can be run again."""
-    lines = []
-    for row in rows:
-        bad = row["error"]
-        if not bad and row["kind"] == "effect":
-            bad = outcome(row) if outcome(row) not in ("unique", "set", "prov. right") else ""
-        elif not bad and row["kind"] == "null":
-            bad = "false name" if false_names(row) else ""
-        elif not bad and row["kind"] == "outside":
-            bad = "firm name" if firm_names(row) else ""
-        if bad:
-            sets = "; ".join("|".join(item["alias_set"]) for item in row["missing"])
-            planted = "+".join(row["planted"]) or "nothing"
-            lines.append(
-                f"  seed {row['seed']:<5} {planted:<25} {row['strength']:g} {row['noise']:<8} "
-                f"{bad}: {row['verdict']} {sets}"
-            )
-    return "counted against it:\n" + "\n".join(lines) if lines else ""
+def _against(row: Row) -> str:
+    """Return the line of a row that counts against the diagnosis, so that it can be run again."""
+    bad = row["error"]
+    if not bad and row["kind"] == "effect":
+        bad = outcome(row) if outcome(row) not in ("unique", "set", "prov. right") else ""
+    elif not bad and row["kind"] in ("null", "outside"):
+        bad = ", ".join(false_names(row) if row["kind"] == "null" else firm_names(row))
+    sets = "; ".join("|".join(item["alias_set"]) for item in row["missing"])
+    where = f"seed {row['seed']} {'+'.join(row['planted'])} {row['strength']:g} {row['noise']}"
+    return f"  {where}: {bad}: {row['verdict']} {sets}" if bad else ""
