@@ -9,7 +9,7 @@ import pandas as pd
 from joblib import cpu_count
 
 from comparisons.cli.output import command_line
-from comparisons.study.comparison import compare_scores
+from comparisons.study.comparison import compare_methods
 from comparisons.study.design import cells_of
 from comparisons.study.report import render_study_report
 from comparisons.study.run import RESULTS, check_study, run_study
@@ -43,7 +43,8 @@ def run(given: argparse.Namespace) -> Iterator[str]:
     if len(reasons):
         yield f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons"
     yield ""
-    for groups in compare_scores(table, spec.scores, spec.reference, spec.by, spec.margin):
+    for score in spec.scores:
+        groups = compare_methods(table, score, spec.reference, spec.by, spec.margin)
         yield from (f"{group}\n" for group in groups)
     page = given.out / "report.html"
     write_whole(page, render_study_report(table, spec, command=command_line()))

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import rankdata
+from scipy.stats import t as student_t
 
 from comparisons.study.scores import SCORES, Score
-from comparisons.study.verdicts import Paired, verdicts_of
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.rounding import round_like, round_to_error
@@ -32,6 +33,8 @@ FAILED, ENDED_WELL = "failed", ("ok", "converged")
 FEWEST_RECORDS = 5
 # What a difference must exceed to matter: a share of the reference's loss, or of a coverage.
 MARGIN, COVERAGE_MARGIN = 0.10, 0.05
+# Of all verdicts of a group together.
+LEVEL = 0.05
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
 # Differences that agree to so many digits of the greatest loss share a rank, and an error smaller
@@ -71,12 +74,15 @@ class MethodRow:
     loss, loss_stderr : float
         Mean loss over its own cells and its standard error: the mean for "smaller", its negative
         for "larger", the mean absolute value for "zero", the distance of the mean for "target".
-    against : Paired
-        The method against the reference.
-    rank : int or None
-        By the difference to the reference; equal ones share a rank.
+    n_pairs, n_records : int
+        Cells that it and the reference could score, and the independent records they come from.
+    difference, stderr : float
+        Mean loss minus that of the reference over the pairs, and its standard error clustered by
+        record, in the unit of the score; the error is NaN with one record, both are without a pair.
     trust : str
         Why not to trust this row; may be empty.
+    rank : int or None
+        By the difference to the reference; equal ones share a rank.
     verdict : {"better", "worse", "equivalent", "undecided", ""}
         Against the reference; empty for itself and where there is no pair.
     """
@@ -88,9 +94,12 @@ class MethodRow:
     mean_stderr: float
     loss: float
     loss_stderr: float
-    against: Paired
-    rank: int | None
+    n_pairs: int
+    n_records: int
+    difference: float
+    stderr: float
     trust: str
+    rank: int | None = None
     verdict: str = ""
 
 
@@ -142,7 +151,7 @@ class GroupComparison(Displayed):
         words = f"{self.place}: {best.method} is best by {label}, {loss}"
         if others:
             words += f"; against {self.reference}: {', '.join(others)}"
-        return f"{words}; paired over {best.against.n_records} records."
+        return f"{words}; paired over {best.n_records} records."
 
     def grid(self) -> Grid:
         """Return the table of methods, under the heads of `COLUMNS`."""
@@ -154,8 +163,8 @@ class GroupComparison(Displayed):
                 str(row.n_failed),
                 round_like(row.mean, row.mean_stderr),
                 round_like(row.loss, row.loss_stderr),
-                str(row.against.n_pairs),
-                str(row.against.n_records),
+                str(row.n_pairs),
+                str(row.n_records),
                 self._difference(row),
                 row.verdict,
                 row.trust,
@@ -168,7 +177,7 @@ class GroupComparison(Displayed):
     def _difference(self, row: MethodRow) -> str:
         if row.method == self.reference:
             return "reference"
-        return round_to_error(row.against.difference, row.against.stderr)
+        return round_to_error(row.difference, row.stderr)
 
     def _sheet(self) -> Sheet:
         grid = self.grid()
@@ -198,14 +207,14 @@ def compare_methods(
         Method that the others are compared with; without it the one with the smallest mean loss
         over the cells that all methods share.
     by : sequence of str
-        Axes; each combination of their values is a group of its own.
+        Axes; each combination of their values is a further group.
     margin : float
         Share of the reference's loss within which a difference does not matter.
 
     Returns
     -------
     tuple of GroupComparison
-        In the order of the axes' values.
+        Over all cells, then of each group in the order of the axes' values.
 
     Raises
     ------
@@ -218,51 +227,21 @@ def compare_methods(
     if reference is not None and reference not in names:
         raise InputError("reference", expected="one of " + ", ".join(names), found=repr(reference))
     against = reference or _winner(cells, chosen)
+    others = len(names) - 1
     # A reference chosen by the same data stands for a comparison of all pairs.
-    tests = len(names) - 1 if reference else math.comb(len(names), 2)
-    if not by:
-        return (_compared(cells, chosen, against, "all cells", margin, tests),)
-    return tuple(
-        _compared(part, chosen, against, ", ".join(map(_value_words, by, where)), margin, tests)
-        for where, part in cells.groupby(list(by), dropna=False)
+    tests = others if reference else math.comb(len(names), 2)
+    groups = cells.groupby(list(by), dropna=False) if by else ()
+    return (
+        _compared(cells, chosen, against, "all cells", margin, tests),
+        *(
+            _compared(part, chosen, against, ", ".join(map(_value_words, by, at)), margin, others)
+            for at, part in groups
+        ),
     )
 
 
-def compare_scores(
-    table: pd.DataFrame,
-    scores: Sequence[Score | str],
-    reference: str | None = None,
-    by: Sequence[str] = (),
-    margin: float = MARGIN,
-) -> list[tuple[GroupComparison, ...]]:
-    """Compare methods by each of several scores: over all cells, then split by some axes.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Results, one row a cell.
-    scores : sequence of Score or str
-        What is compared.
-    reference, by, margin
-        As in `compare_methods`; the groups by axes come after that of all cells, and are compared
-        with the same reference.
-
-    Returns
-    -------
-    list of tuple of GroupComparison
-        One tuple a score.
-    """
-    found = []
-    for score in scores:
-        whole = compare_methods(table, score, reference, margin=margin)
-        against = whole[0].reference
-        split = compare_methods(table, score, against, by, margin) if by else ()
-        found.append((*whole, *split))
-    return found
-
-
 def jackknife(
-    values: FloatArray, record: IntArray, target: float | None = None
+    values: FloatArray, record: ArrayLike, target: float | None = None
 ) -> tuple[float, float]:
     """Return the mean of values (n,) and its standard error over records, each left out once.
 
@@ -332,70 +311,93 @@ def _compared(
 ) -> GroupComparison:
     wide = cells.pivot(index="_cell", columns="method", values="_value")
     draw = cells.groupby("_cell")["_draw"].first()
-    parts = {str(name): part for name, part in cells.groupby("method")}
-    against = {
-        name: _paired(wide.reindex(columns=[name, reference]).to_numpy(), draw.to_numpy(), score)
-        for name in parts
-    }
-    ranks = _ranks(against, float(score.losses(wide).abs().max().max()))
-    rows = []
-    for name, part in parts.items():
-        values = wide[name].dropna()
-        records = draw[values.index].to_numpy()
-        mean, error = jackknife(values.to_numpy(), records)
-        loss = (abs(mean - score.target), error)
-        if score.better != "target":
-            loss = jackknife(score.losses(values).to_numpy(), records)
-        doubts = "; ".join(_doubts(part, against[name]))
-        failed = int((part["state"] == FAILED).sum())
-        own = (mean, error, *loss, against[name], ranks.get(name), doubts)
-        rows.append(MethodRow(name, len(part), failed, *own))
+    rows = [_row(part, wide, draw, score, reference) for _, part in cells.groupby("method")]
     level = next((row.loss for row in rows if row.method == reference), math.nan)
     reach = COVERAGE_MARGIN if score.better == "target" else margin * abs(level)
-    others = {name: pair for name, pair in against.items() if name != reference}
-    verdicts = verdicts_of(others, reach, tests)
-    rows = [replace(row, verdict=verdicts.get(row.method, "")) for row in rows]
+    verdicts = _verdicts([row for row in rows if row.method != reference], reach, tests)
+    ranks = _ranks(rows, float(score.losses(wide).abs().max().max()))
+    rows = [replace(r, rank=ranks.get(r.method), verdict=verdicts.get(r.method, "")) for r in rows]
     rows.sort(key=lambda row: (row.rank is None, row.rank or 0, row.method))
     best = rows[0].method if rows[0].rank else ""
     return GroupComparison(score, place, reference, best, tuple(rows))
 
 
-def _paired(both: FloatArray, draw: IntArray, score: Score) -> Paired:
-    """Return a method against the reference, values (n, 2), over what both could score."""
-    shared = np.isfinite(both).all(axis=1)
-    values, draw = both[shared], draw[shared]
-    if not draw.size:
-        return Paired()
-    counts = (draw.size, np.unique(draw).size)
+def _row(
+    part: pd.DataFrame, wide: pd.DataFrame, draw: pd.Series[int], score: Score, reference: str
+) -> MethodRow:
+    """Return a method on its own cells, and against the reference over what both could score."""
+    name = str(part["method"].iloc[0])
+    values = wide[name].dropna()
+    records = draw[values.index]
+    mean, error = jackknife(values.to_numpy(), records)
+    loss = (abs(mean - score.target), error)
+    if score.better != "target":
+        loss = jackknife(score.losses(values).to_numpy(), records)
+    both = wide.reindex(columns=[name, reference]).dropna()
+    shared = draw[both.index]
     if score.better == "target":
         # Of a single cell the distance to a share means nothing: only of the mean of many.
-        return Paired(*counts, *jackknife(values, draw, score.target))
-    own, reference = score.losses(values).T
-    return Paired(*counts, *jackknife(own - reference, draw))
+        apart = jackknife(both.to_numpy(), shared, score.target)
+    else:
+        own, other = score.losses(both).to_numpy().T
+        apart = jackknife(own - other, shared)
+    failed = int((part["state"] == FAILED).sum())
+    pairs = (len(both), np.unique(shared).size)
+    doubts = "; ".join(_doubts(part, *pairs))
+    return MethodRow(name, len(part), failed, mean, error, *loss, *pairs, *apart, doubts)
 
 
-def _ranks(against: dict[str, Paired], size: float) -> dict[str, int]:
-    fullest = max(pair.n_pairs for pair in against.values())
+def _ranks(rows: Sequence[MethodRow], size: float) -> dict[str, int]:
+    fullest = max(row.n_pairs for row in rows)
     known = {
-        name: pair.difference / (size or 1.0)
-        for name, pair in against.items()
-        if math.isfinite(pair.difference) and pair.n_pairs >= RUNNING_SHARE * fullest
+        row.method: row.difference / (size or 1.0)
+        for row in rows
+        if math.isfinite(row.difference) and row.n_pairs >= RUNNING_SHARE * fullest
     }
     ranks = rankdata(np.round(list(known.values()), DIGITS), "min").tolist()
     return {name: int(rank) for name, rank in zip(known, ranks, strict=True)}
 
 
-def _doubts(part: pd.DataFrame, pair: Paired) -> list[str]:
+def _verdicts(rows: Sequence[MethodRow], margin: float, tests: int) -> dict[str, str]:
+    """Return what the paired differences of methods to a reference say, out of so many tests.
+
+    "better" and "worse" are two-sided tests by Student's t over records, at 5 % over all together
+    (Holm, Scandinavian Journal of Statistics 6, 1979); "equivalent", with half the width of what
+    counts as equal, is two one-sided tests at 5 % each (Schuirmann, Journal of Pharmacokinetics and
+    Biopharmaceutics 15, 1987), and goes first.
+    """
+    found = {row.method: "undecided" for row in rows if row.n_pairs}
+    known = [row for row in rows if row.n_records > 1 and math.isfinite(row.stderr)]
+    left, rejecting = max(tests, len(known)), True
+    for row in sorted(known, key=lambda row: _two_sided(row.difference, row)):
+        rejecting = rejecting and _two_sided(row.difference, row) * left <= LEVEL
+        left -= 1
+        room = margin - abs(row.difference)
+        if room > 0.0 and 0.5 * _two_sided(room, row) <= LEVEL:
+            found[row.method] = "equivalent"
+        elif rejecting:
+            found[row.method] = "worse" if row.difference > 0.0 else "better"
+    return found
+
+
+def _two_sided(difference: float, row: MethodRow) -> float:
+    """Return the p-value that a difference with the error of a row is none."""
+    if row.stderr == 0.0:
+        return 1.0 if difference == 0.0 else 0.0
+    return float(2.0 * student_t.sf(abs(difference) / row.stderr, row.n_records - 1))
+
+
+def _doubts(part: pd.DataFrame, n_pairs: int, n_records: int) -> list[str]:
     """Return why not to trust the row of a method."""
     ran, lost = len(part), int(part["_value"].isna().sum())
     bad = int((~part["state"].isin([FAILED, *ENDED_WELL])).sum())
     doubts = []
-    if lost < ran and not pair.n_pairs:
+    if lost < ran and not n_pairs:
         doubts.append("scored on other rows than the reference")
     if lost:
         doubts.append(f"no score on {lost} of its {ran} cells: survivors only")
-    if pair.n_records < FEWEST_RECORDS:
-        doubts.append(f"independent records: {pair.n_records}, fewer than {FEWEST_RECORDS}")
+    if n_records < FEWEST_RECORDS:
+        doubts.append(f"independent records: {n_records}, fewer than {FEWEST_RECORDS}")
     if bad:
         doubts.append(f"{bad} of its {ran} cells ended badly")
     return doubts

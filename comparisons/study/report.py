@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from comparisons.page.blocks import Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
-from comparisons.study.comparison import COLUMNS, compare_scores
+from comparisons.study.comparison import COLUMNS, compare_methods
 from comparisons.study.spec import StudySpec
 
 if TYPE_CHECKING:
@@ -36,8 +36,10 @@ def render_study_report(
     command : str
         The command line that made it.
     """
-    scored = compare_scores(table, spec.scores, spec.reference, spec.by, spec.margin)
-    groups = [several[: 1 + MOST_GROUPS] for several in scored]
+    groups = [
+        compare_methods(table, score, spec.reference, spec.by, spec.margin)[: 1 + MOST_GROUPS]
+        for score in spec.scores
+    ]
     extent = (
         f"{len(table)} cells of {table['method'].nunique()} methods on "
         f"{table['record'].nunique()} records; {int((table['state'] == 'failed').sum())} failed. "
