@@ -1,27 +1,26 @@
-"""All 48 claims of the paper, in their order: what it says (claims.csv) and how each is checked."""
+"""All 48 claims of the paper, in their order: what each says (claims.csv), and what was found."""
 
 from __future__ import annotations
 
 import csv
 import math
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
 from comparisons.paper import claims_facility, claims_identification
-from comparisons.paper.claim import Check, Claim
+from comparisons.paper.claim import Check, Claim, Finding
 from comparisons.paper.instabilities import Instabilities
 from surge_core.errors import InputError
 
-# What checks each claim, by its number.
-_CHECKS: dict[int, Check] = {
-    number: check
-    for checks in (claims_facility.CHECKS, claims_identification.CHECKS)
-    for check, numbers in checks.items()
-    for number in numbers
-}
-CHECKS = {number: _CHECKS[number] for number in sorted(_CHECKS)}
+# The claims in their order: what each says, and the function that checks it.
+TABLE = tuple(
+    csv.DictReader(
+        files("comparisons.paper").joinpath("claims.csv").read_text("utf-8").splitlines()
+    )
+)
 # Claims whose numbers are those of one machine and its facility: another machine has others, and
 # the claim is judged on the paper's alone. The rest must hold on most machines as well.
 OF_ONE_MACHINE = frozenset({19, 23, 25, 26, 28, 33, 37, 44})
@@ -40,35 +39,41 @@ def check_claims(
     machines too.
     """
     claims = []
-    for number in progress(CHECKS):
-        claim = check_claim(runs, number)
-        if claim.kind == "tested" and others:
-            found = [_holds_on(other, number) for other in others]
-            machines = tuple(holds for holds in found if holds is not None)
-            most = number in OF_ONE_MACHINE or 2 * sum(machines) > len(machines)
-            claim = replace(claim, holds=claim.holds and most, machines=machines)
-        claims.append(claim)
-    return tuple(claims)
-
-
-def _holds_on(runs: Instabilities, number: int) -> bool | None:
-    """Return whether a claim holds on a machine; None where its variation does not surge there."""
-    try:
-        return check_claim(runs, number).holds
-    except InputError:
-        return None
+    for name in progress(dict.fromkeys(row["check"] for row in TABLE)):
+        found, elsewhere = _check(name)(runs), []
+        for other in others:
+            # A variation that does not surge there says nothing.
+            with suppress(InputError):
+                elsewhere.append(_check(name)(other))
+        for number, finding in found.items():
+            claim = _claim(number, finding)
+            if claim.kind == "tested" and others:
+                machines = tuple(_claim(number, each[number]).holds for each in elsewhere)
+                most = number in OF_ONE_MACHINE or 2 * sum(machines) > len(machines)
+                claim = replace(claim, holds=claim.holds and most, machines=machines)
+            claims.append(claim)
+    return tuple(sorted(claims, key=lambda claim: claim.id))
 
 
 def check_claim(runs: Instabilities, number: int) -> Claim:
     """Check one claim by its number, from 1."""
-    text = files("comparisons.paper").joinpath("claims.csv").read_text("utf-8")
-    row = list(csv.DictReader(text.splitlines()))[number - 1]
+    return _claim(number, _check(TABLE[number - 1]["check"])(runs)[number])
+
+
+def _check(name: str) -> Check:
+    module = claims_facility if hasattr(claims_facility, name) else claims_identification
+    check: Check = getattr(module, name)
+    return check
+
+
+def _claim(number: int, finding: Finding) -> Claim:
+    """Return a claim with what was found."""
+    row, (found, holds, seen) = TABLE[number - 1], finding
     stated: float | str
     try:
         stated = float(row["stated"])
     except ValueError:
         stated = row["stated"]
-    found, holds, seen = CHECKS[number](runs)[number]
     # Rows go to JSON, which knows no numpy.
     plain = found if isinstance(found, str) else float(found)
     if holds is None:

@@ -6,7 +6,6 @@ Each function checks the claims on one subject and gives a finding for each, by 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from scipy.signal import detrend
@@ -24,7 +23,7 @@ from classic_ml.flow import (
     plane_averages,
     true_mach,
 )
-from comparisons.paper.claim import Check, Finding, Findings
+from comparisons.paper.claim import Finding, Findings
 from comparisons.paper.instabilities import (
     INSTABILITIES,
     THRESHOLD_LBM_S,
@@ -336,16 +335,3 @@ def cell_power_ratio(run: InstabilityRun) -> float:
     inside, outside = (apart[run.window & rows] for rows in (stalled, ~stalled))
     power = [float(np.median(np.square(s - np.mean(s)))) for s in (inside, outside)]
     return power[0] / power[1]
-
-
-CHECKS: Mapping[Check, tuple[int, ...]] = {
-    description: (1, 2, 3, 13, 15),
-    sensors: (4, 5, 6, 7, 8, 12),
-    calibration: (9, 10, 11),
-    flow_equations: (14,),
-    spectra: (17, 18, 19, 20),
-    filters: (21, 22),
-    cycles: (16, 23, 28),
-    heating: (24, 25, 26, 27),
-    stall: (29, 30, 31, 32),
-}

@@ -15,7 +15,7 @@ from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
-from comparisons.paper.claim import Check, Finding, Findings
+from comparisons.paper.claim import Finding, Findings
 from comparisons.paper.claims_facility import cell_power_ratio
 from comparisons.paper.instabilities import (
     STEADY_STALL,
@@ -355,17 +355,3 @@ def other_facilities(runs: Instabilities) -> Findings:
     seen = ", ".join(f"{name} {100 * change:.1f} %" for name, change in changes.items())
     largest = max(changes.values())
     return {48: Finding(round(100.0 * largest, 1), largest < 0.1, {"changes": seen})}
-
-
-CHECKS: Mapping[Check, tuple[int, ...]] = {
-    regimes: (33,),
-    other_thresholds: (34,),
-    linking: (35, 37),
-    parabola: (36, 39),
-    slow_dynamics: (38,),
-    low_speed: (40, 41, 42, 43, 45),
-    trial_and_error: (44,),
-    disturbances: (46,),
-    late_start: (47,),
-    other_facilities: (48,),
-}
