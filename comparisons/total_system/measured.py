@@ -13,7 +13,13 @@ from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from classic_ml.reduction_settings import ReductionSettings
-from comparisons.total_system.model import TotalSystemModel, latches_of, observe
+from comparisons.total_system.model import (
+    N_STATES,
+    STEPS_PER_SECOND,
+    TotalSystemModel,
+    integrate,
+    latches_of,
+)
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -164,5 +170,7 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     first, period_s = float(measured.time_s[0]), measured.period_s
     latches = latches_of(c, phi, t25, first, period_s)
     columns = np.column_stack([flow, lagged, p31, p_in, t25])
-    states = observe(c, columns, latches, first, period_s, model.near_stall_state())
-    return states, latches
+    steps = max(1, round(period_s * STEPS_PER_SECOND))
+    begin = model.near_stall_state()
+    rows = integrate(c, begin, latches[0], first, flow.size, period_s, steps, latches, columns)
+    return rows[:, :N_STATES], latches

@@ -35,6 +35,8 @@ W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(N_STATES
 P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(N_STATES, N_COLUMNS)
 # States that are read off a record; the others follow from the balances.
 MEASURED = (W, PSI_P, P31, P_IN, T_FACE)
+# Where neither is given.
+_NO_LATCH, _NO_STATES = np.empty((0, 4)), np.empty((0, len(MEASURED)))
 # Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
 STALLED, ARMED, SINCE, FROM = range(4)
 
@@ -245,18 +247,27 @@ def _switch(
 @njit(cache=True)
 def integrate(
     c: Any, start: FloatArray, begin_latch: FloatArray, begin: float,
-    n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+    n_rows: int, row_s: float, substeps: int,
+    forced: FloatArray = _NO_LATCH, measured: FloatArray = _NO_STATES,
 ) -> FloatArray:  # fmt: skip
     """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``row_s`` after it.
 
     ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
-    rows in it the model switches by itself.
+    rows in it the model switches by itself. So does ``measured`` the states of `MEASURED`, which
+    are put in at each row: what no probe reads follows from the balances, and forgets its start.
     """
     rows = np.empty((n_rows, N_COLUMNS))
     s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
     k = np.empty((4, N_STATES))
     h, phi = row_s / substeps, np.nan
     for i in range(n_rows):
+        if measured.shape[0] > 0:
+            # What the pressures rise beyond their balances warms the gas of their volumes.
+            share = (c.gamma - 1.0) / c.gamma
+            s[T31] *= (measured[i, 2] / s[P31]) ** share
+            s[T_IN] *= (measured[i, 3] / s[P_IN]) ** share
+            for j, at in enumerate(MEASURED):
+                s[at] = measured[i, j]
         for j in range(substeps):
             time = begin + i * row_s + j * h
             row = rows[i] if j == 0 else scratch
@@ -290,44 +301,6 @@ def latches_of(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: fl
             latch[STALLED], latch[SINCE] = 1.0, c.start
         out[i] = latch
     return out
-
-
-@njit(cache=True)
-def _as_measured(c: Any, s: FloatArray, slopes: FloatArray, d: FloatArray) -> None:
-    """Warm the gas of both volumes by what the measured pressures rise beyond their balances."""
-    share = (c.gamma - 1.0) / c.gamma
-    d[T31] += share * s[T31] / s[P31] * (slopes[2] - d[P31])
-    d[T_IN] += share * s[T_IN] / s[P_IN] * (slopes[3] - d[P_IN])
-
-
-@njit(cache=True)
-def observe(
-    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float, start: FloatArray
-) -> FloatArray:
-    """Return the model's states at each row with the columns of `MEASURED` put in.
-
-    What no probe reads (gas temperatures of the volumes, exhaust pressure, ψ) follows from the
-    same balances; nothing unstable is left in them, so that they forget their start.
-    """
-    n = measured.shape[0]
-    rows, row = np.empty((n, N_STATES)), np.empty(N_COLUMNS)
-    s, rates = start.copy(), np.empty((2, N_STATES))
-    for i in range(n):
-        for j, at in enumerate(MEASURED):
-            s[at] = measured[i, j]
-        rows[i] = s
-        if i == n - 1:
-            break
-        slopes = (measured[i + 1] - measured[i]) / row_s
-        ahead = s.copy()
-        for k in range(2):
-            _rates(c, first + i * row_s + k * row_s, ahead, latch[i + k], rates[k], row)
-            _as_measured(c, ahead, slopes, rates[k])
-            ahead = s + row_s * rates[0]
-            for j, at in enumerate(MEASURED):
-                ahead[at] = measured[i + 1, j]
-        s += 0.5 * row_s * (rates[0] + rates[1])
-    return rows
 
 
 @dataclass(frozen=True)
@@ -450,6 +423,5 @@ class TotalSystemModel:
         latch = np.array([float(surging), 0.0, begin, 0.0])
         first = self.near_stall_state() if state is None else state
         steps = max(1, round(period_s * STEPS_PER_SECOND))
-        forced = np.empty((0, 4))
-        rows = integrate(self.constants(), first, latch, begin, n_rows, period_s, steps, forced)
+        rows = integrate(self.constants(), first, latch, begin, n_rows, period_s, steps)
         return {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(COLUMNS)}
