@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict
 
 from comparisons.cli.output import page, write_asked
 from comparisons.cli.study import run_cells
@@ -33,11 +32,12 @@ def run(given: argparse.Namespace) -> Iterator[str]:
         for row in rows
     )
     grid = Grid(spec.title, tuple(COUNTS.values()), cells, frozenset({0}))
-    mean = ", ".join(f"{m} {r:.2f}" for m, r in zip(ranks.methods, ranks.mean, strict=True))
+    mean = ", ".join(f"{m} {r:.2f}" for m, r in zip(ranks["methods"], ranks["mean"], strict=True))
+    reach, p_value = ranks["critical_difference"], ranks["p_value"]
     said = (
         f"mean rank by |error of τ|, a refusal last: {mean}; critical difference "
-        f"{ranks.critical_difference:.2f} (Nemenyi, 5 %); chance of such ranks if all were alike "
-        f"{significant(ranks.p_value, 2)} (Friedman)"
+        f"{reach:.2f} (Nemenyi, 5 %); chance of such ranks if all were alike "
+        f"{significant(p_value, 2)} (Friedman)"
     )
     picture = Picture("Mean ranks", draw_ranks(ranks), said, said)
     parts = (Part("", (Table.of(grid), Words(said), picture)),)
@@ -49,7 +49,7 @@ def run(given: argparse.Namespace) -> Iterator[str]:
         "machines": rows[0]["machines"],
         "seed": given.seed,
         "methods": rows,
-        "ranks": asdict(ranks),
+        "ranks": ranks,
     }
     yield from (grid.title, *grid.lines(), "", said, "")
     yield f"report, table and figure: {folder} ({n + 2} files)"

@@ -125,13 +125,7 @@ class SensorSettings:
         )
 
 
-def tube(
-    signal: FloatArray,
-    *,
-    frequency_hz: float | None,
-    damping: float,
-    rate_hz: float = PLANT_RATE_HZ,
-) -> FloatArray:
+def tube(signal: FloatArray, *, frequency_hz: float | None, damping: float) -> FloatArray:
     """Return the pressure behind a tube: a second-order response that starts at rest.
 
     Equation: p̈ + 2ζω ṗ + ω² p = ω² p_gas, by the bilinear map with its warping undone at ω. Without
@@ -139,8 +133,8 @@ def tube(
     """
     if frequency_hz is None:
         return signal
-    omega = 2.0 * rate_hz * tan(pi * frequency_hz / rate_hz)
-    b, a = bilinear([omega**2], [1.0, 2.0 * damping * omega, omega**2], rate_hz)
+    omega = 2.0 * PLANT_RATE_HZ * tan(pi * frequency_hz / PLANT_RATE_HZ)
+    b, a = bilinear([omega**2], [1.0, 2.0 * damping * omega, omega**2], PLANT_RATE_HZ)
     out, _ = lfilter(b, a, signal, zi=lfilter_zi(b, a) * signal[0])
     return np.asarray(out, dtype=np.float64)
 
@@ -161,13 +155,11 @@ def lag(
     return np.asarray(out, dtype=np.float64)
 
 
-def anti_alias(
-    signal: FloatArray, *, corner_hz: float | None, rate_hz: float = PLANT_RATE_HZ
-) -> FloatArray:
+def anti_alias(signal: FloatArray, *, corner_hz: float | None) -> FloatArray:
     """Return a signal behind a causal fourth-order Butterworth low-pass that starts at rest."""
     if corner_hz is None:
         return signal
-    sos = butter(4, corner_hz, fs=rate_hz, output="sos")
+    sos = butter(4, corner_hz, fs=PLANT_RATE_HZ, output="sos")
     out, _ = sosfilt(sos, signal, zi=sosfilt_zi(sos) * signal[0])
     return np.asarray(out, dtype=np.float64)
 

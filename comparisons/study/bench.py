@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -50,29 +49,6 @@ COUNTS = {
     "median_error_ms": "median |error| [ms]",
     "seconds": "s a record",
 }
-
-
-@dataclass(frozen=True)
-class Ranks:
-    """Mean ranks by the absolute error of τ; where no τ is stated a method ranks last.
-
-    Parameters
-    ----------
-    methods : tuple of str
-        Best first.
-    mean : tuple of float
-        Mean rank of each.
-    p_value : float
-        Chance of such ranks if all methods were alike (Friedman); NaN below three methods.
-    critical_difference : float
-        Mean ranks nearer than this are not parted at 5 % (Nemenyi; Demšar, Journal of Machine
-        Learning Research 7, 2006).
-    """
-
-    methods: tuple[str, ...]
-    mean: tuple[float, ...]
-    p_value: float
-    critical_difference: float
 
 
 def bench_spec(
@@ -166,13 +142,21 @@ def _counts(part: pd.DataFrame) -> dict[str, int | float]:
     }
 
 
-def ranks_of(table: pd.DataFrame) -> Ranks:
-    """Rank the methods on each record by the absolute error of τ.
+def ranks_of(table: pd.DataFrame) -> dict[str, Any]:
+    """Rank the methods on each record by the absolute error of τ; without one a method ranks last.
 
     Parameters
     ----------
     table : DataFrame
         Of the study, one row a cell.
+
+    Returns
+    -------
+    dict
+        ``methods``, best first, and the ``mean`` rank of each; ``p_value``, the chance of such
+        ranks if all methods were alike (Friedman), NaN below three methods;
+        ``critical_difference``: mean ranks nearer than this are not parted at 5 % (Nemenyi; Demšar,
+        Journal of Machine Learning Research 7, 2006).
     """
     # A method that names effects states no τ.
     namers = table.loc[table["firm_names"].notna(), "method"].unique()
@@ -186,28 +170,29 @@ def ranks_of(table: pd.DataFrame) -> Ranks:
     p = float(friedmanchisquare(*ranks.to_numpy().T).pvalue) if k > 2 and n > 1 else math.nan
     reach = float(studentized_range.ppf(1.0 - LEVEL, k, np.inf)) / math.sqrt(2.0)
     critical = reach * math.sqrt(k * (k + 1) / (6.0 * n))
-    return Ranks(tuple(map(str, mean.index)), tuple(mean.tolist()), p, critical)
+    means = {"methods": [str(name) for name in mean.index], "mean": mean.tolist()}
+    return {**means, "p_value": p, "critical_difference": critical}
 
 
-def draw_ranks(ranks: Ranks) -> Figure:
+def draw_ranks(ranks: dict[str, Any]) -> Figure:
     """Draw mean ranks with the critical difference: methods that a bar joins are not parted.
 
     Parameters
     ----------
-    ranks : Ranks
-        Of the methods.
+    ranks : dict
+        As of `ranks_of`.
     """
     from comparisons.page.style import ACCENT, INK, panel
 
     words = "mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)"
-    figure, ax = panel(words, "", 1.2 + 0.35 * len(ranks.methods))
+    figure, ax = panel(words, "", 1.2 + 0.35 * len(ranks["methods"]))
     ax.xaxis.label.set_fontsize(9)
-    place = np.arange(len(ranks.methods))
-    ax.plot(ranks.mean, place, "o", color=ACCENT, ms=7)
+    place = np.arange(len(ranks["methods"]))
+    ax.plot(ranks["mean"], place, "o", color=ACCENT, ms=7)
     look: dict[str, Any] = {"color": INK, "lw": 2.0, "alpha": 0.35}
-    for y, mean in zip(place, ranks.mean, strict=True):
-        ax.hlines(y, mean, mean + ranks.critical_difference, **look)
-    ax.set_yticks(place, list(ranks.methods))
-    ax.set_ylim(len(ranks.methods) - 0.5, -0.5)
+    for y, mean in zip(place, ranks["mean"], strict=True):
+        ax.hlines(y, mean, mean + ranks["critical_difference"], **look)
+    ax.set_yticks(place, ranks["methods"])
+    ax.set_ylim(len(ranks["methods"]) - 0.5, -0.5)
     ax.set_xlim(left=0.8)
     return figure

@@ -21,14 +21,14 @@ def _gain(out: np.ndarray, frequency_hz: float) -> float:
 @pytest.mark.parametrize(("hz", "percent"), [(7.0, 0.03), (16.0, 0.14), (82.5, 3.8)])
 def test_tube_gain_at_the_frequencies_of_the_paper(hz: float, percent: float) -> None:
     time_s = np.arange(40_000) / FS
-    out = tube(np.sin(2.0 * np.pi * hz * time_s), frequency_hz=400.0, damping=0.25, rate_hz=FS)
+    out = tube(np.sin(2.0 * np.pi * hz * time_s), frequency_hz=400.0, damping=0.25)
     assert 100.0 * (_gain(out, hz) - 1.0) == pytest.approx(percent, abs=0.05 + 0.02 * percent)
 
 
 def test_thermocouple_reaches_63_percent_in_10_ms() -> None:
     # A step between two samples, as straight lines: half a sample late.
     step = np.r_[np.zeros(10), np.ones(990)]
-    out = lag(step, time_constant_s=0.010, rate_hz=FS)
+    out = lag(step, time_constant_s=0.010)
     after = np.arange(990) + 0.5
     expected = 1.0 - np.exp(-after / FS / 0.010)
     assert np.max(np.abs(out[10:] - expected)) < 1e-4
