@@ -1,7 +1,6 @@
 """Is a missing effect named rightly, and is nothing named where nothing is missing?
 
     python benchmarks/effect_study.py [--jobs 2] [--seeds N] [--only PART ...] [--json FILE]
-    python benchmarks/effect_study.py --from FILE...      tables of rows written before
 
 Each test is three simulated records of known truth (`comparisons.rig.coefficient_tests`), given to
 `comparisons.missing_effect.diagnose` as a user would give them. The strength of an effect is the
@@ -19,7 +18,6 @@ fitted again. The in-stall flag is in the records of even seeds. Parts:
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -39,7 +37,6 @@ PARTS = ("effects", "nulls", "outside", "pairs")
 STRENGTHS = (0.5, 1.5, 3.0)
 PAIR_STRENGTH = 2.0
 DEGREE = 3
-SAVE_EVERY_ROWS = 50
 
 
 @dataclass(frozen=True)
@@ -165,14 +162,7 @@ def main() -> None:
     parser.add_argument("--effects", nargs="+", choices=EFFECTS, default=EFFECTS, metavar="NAME")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
-    parser.add_argument(
-        "--from", dest="files", type=Path, nargs="+", metavar="FILE", help="rows written before"
-    )
     options = parser.parse_args()
-    if options.files:
-        rows = [row for file in options.files for row in json.loads(file.read_text("utf-8"))]
-        print(report(rows))
-        return
     cases = cases_of(options)
     rows: list[Row] = []
     with ProcessPoolExecutor(options.jobs, get_context("spawn"), warm_up) as pool:
@@ -180,8 +170,6 @@ def main() -> None:
             rows.append(row)
             if sys.stderr.isatty():
                 print(f"\r{len(rows)}/{len(cases)} ", end="", file=sys.stderr)
-            if options.json is not None and len(rows) % SAVE_EVERY_ROWS == 0:
-                options.json.write_text(to_strict_json(rows), "utf-8")
     if options.json is not None:
         options.json.write_text(to_strict_json(rows), "utf-8")
     print(report(rows))

@@ -1,12 +1,10 @@
 """From raw counts to a name: what `diagnose` says of records, untouched and altered in the counts.
 
-Records come from the rig's cases (98.5, 95 and 90 %), from machines drawn at random
-(`random_machines.py`), or from folders with raw.csv and test.toml. Each is diagnosed as it is, and
-with one thing about it altered where it happens: the ∫dx/A that test.toml states x 1.5, P31 late by
-5 ms, a P31 sensitivity that ramps 3 % a second. With --effects the cases also hide effects of
-`comparisons.rig.HIDEABLE`, at their default sizes. The files alone pass from the making to the
-naming. The loss in reversed flow acts without the lag on all rigs: `reverse_flow_branch` is never
-false.
+Records come from machines drawn at random (`random_machines.py`), or from folders with raw.csv and
+test.toml. Each is diagnosed as it is, and with one thing about it altered where it happens: the
+∫dx/A that test.toml states x 1.5, P31 late by 5 ms, a P31 sensitivity that ramps 3 % a second. The
+files alone pass from the making to the naming. The loss in reversed flow acts without the lag on
+all rigs: `reverse_flow_branch` is never false.
 
 Columns: records; refused; what was altered in a firm set; a firm name of its kind; said that
 the record does not decide; neither; records with a wrong firm name, and which; share in the set
@@ -14,7 +12,6 @@ of those that are decided; median processor seconds.
 
     python benchmarks/hidden_on_the_rig.py --machines 24 --seed S [--jobs N] [--json FILE]
     python benchmarks/hidden_on_the_rig.py --records "FOLDER/m*"
-    python benchmarks/hidden_on_the_rig.py --cases 985,90 --seed S [--effects NAME,...]
 """
 
 from __future__ import annotations
@@ -38,7 +35,6 @@ import numpy as np
 import pandas as pd
 import random_machines
 
-from comparisons.rig import simulate, write_run
 from surge_core.errors import InputError
 
 INERTIA_FACTOR, LATE_S, RAMP_PER_S, RAMP_COUNT = 1.5, 0.005, 0.03, 2048.0
@@ -51,22 +47,19 @@ SLOW = frozenset({"transport_delay", "second_order_lag"})
 KIN = {**dict.fromkeys(DRIFTS, DRIFTS), **dict.fromkeys(SLOW, SLOW)}
 
 Row = dict[str, Any]
-# Where a record comes from, its seed, its number, and what is hidden in the rig or the counts.
+# Where a record comes from, its seed, its number, and what is altered.
 Job = tuple[str, int, int, str | None]
 
 
 def make(job: Job, folder: Path) -> None:
     """Write ``raw.csv`` and ``test.toml`` of a record, altered or not."""
     source, seed, number, hidden = job
-    in_counts = hidden in ALTERED
     if source == "drawn":
         random_machines.draw(seed, number, folder)
-    elif Path(source).is_dir():
-        shutil.copytree(source, folder)
     else:
-        write_run(simulate(source, seed=seed + number, hide=None if in_counts else hidden), folder)
-    if in_counts:
-        _alter(folder, str(hidden))
+        shutil.copytree(source, folder)
+    if hidden is not None:
+        _alter(folder, hidden)
 
 
 def _alter(folder: Path, hidden: str) -> None:
@@ -171,20 +164,16 @@ def main() -> None:
     """Print a line a record, then the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add = parser.add_argument
-    add("--machines", type=int, default=8, help="drawn, or seeds of each case")
+    add("--machines", type=int, default=8, help="drawn at random")
     add("--seed", type=int, default=1)
     add("--records", help="folders with raw.csv and test.toml")
-    add("--cases", help="of the rig, joined by commas")
-    add("--effects", default="", help="hidden in the cases beside, joined by commas")
     add("--jobs", type=int, default=2, help="records at a time")
     add("--json", type=Path, metavar="FILE", help="write the rows")
     add("--quick", action="store_true", help="one record, untouched and late")
     given = parser.parse_args()
     sources = sorted(glob.glob(given.records)) if given.records else ["drawn"]
-    sources = given.cases.split(",") if given.cases else sources
     numbers = range(1 if given.records or given.quick else given.machines)
     wanted = (None, "transport_delay") if given.quick else (None, *ALTERED)
-    wanted += tuple(filter(None, given.effects.split(",")))
     jobs = [(s, given.seed, number, h) for s in sources for number in numbers for h in wanted]
     rows = []
     with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
