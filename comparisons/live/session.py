@@ -9,7 +9,6 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Protocol
 
 from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
@@ -17,7 +16,7 @@ from comparisons.live.feeds import Closed, Feed, Opened
 from comparisons.live.monitor import FEED, Monitor
 from comparisons.live.pieces import Pieces
 from comparisons.live.rows import Lines, RowOrder
-from comparisons.live.screens import live_document
+from comparisons.live.screens import Page, Terminal, live_document
 from surge_core.errors import InputError
 
 # The display moves this often, and no wait is longer.
@@ -25,16 +24,6 @@ TICK_S = 0.1
 # No rows for so long, and the feed is shown as silent.
 SILENT_S = 1.0
 EVENTS_KEPT = 200
-
-
-class Screen(Protocol):
-    """Something that shows events and states."""
-
-    def say(self, event: str) -> None:
-        """Show an event."""
-
-    def show(self, document: dict[str, Any]) -> None:
-        """Show a state, as `live_document` gives it."""
 
 
 @dataclass
@@ -49,7 +38,7 @@ class Session:
     feed: Feed
     pieces: Pieces
     monitor: Monitor
-    screens: Sequence[Screen] = ()
+    screens: Sequence[Terminal | Page] = ()
     timeout_s: float = math.inf
 
     def __post_init__(self) -> None:
