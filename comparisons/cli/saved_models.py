@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from comparisons.harness.saved_models import load_models
@@ -26,4 +25,4 @@ def load_any_models(path: str | Path) -> dict[str, LagModel]:
     if not is_extended_file(path):
         return dict(load_models(path))
     # The name in the file is the one that tables show and that --estimator takes.
-    return {name: replace(m, estimator=name) for name, m in load_extended(path).items()}
+    return {name: m.called(name) for name, m in load_extended(path).items()}

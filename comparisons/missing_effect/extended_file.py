@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from comparisons.harness.saved_models import (
-    NULLABLE,
     ModelFormat,
     Saved,
     SavedModel,
@@ -24,24 +22,18 @@ from comparisons.harness.saved_models import (
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.extended_lag import ExtendedLag
-from comparisons.missing_effect.extended_parts import (
-    MOST_EFFECTS,
-    SHAPE,
-    AddedEffect,
-)
+from comparisons.missing_effect.extended_lag import AddedEffect, ExtendedLag
 from comparisons.missing_effect.lag_data import FrozenReferences
 from comparisons.missing_effect.ports import n_powers
-from comparisons.results import is_known_term
+from comparisons.results import FittedLag, is_known_term
 from surge_core.errors import InputError
-from surge_core.models import validated
 
 EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
 EXTENDED_FORMAT = ModelFormat(
     EXTENDED_SCHEMA, "a file of a lag model with effects,", "sindy-surge diagnose --save"
 )
-# More than any record can show, and few enough to be evaluated.
-MOST_INTERVALS = 64
+# Three effects beside one lag are as many as records of one test have ever separated.
+MOST_EFFECTS = 3
 
 
 def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
@@ -96,31 +88,9 @@ def is_extended_file(path: str | Path) -> bool:
         return False
 
 
-def extended_from_json(
-    data: Mapping[str, Any], where: str = "model", catalogue: Sequence[Effect] = CATALOGUE
-) -> ExtendedLag:
-    """Build a model from plain JSON types.
-
-    Parameters
-    ----------
-    data : mapping
-        What ``ExtendedLag.to_json`` gave.
-    where : str
-        File and key of the model, for errors.
-    catalogue : sequence of Effect
-        Effects that it may name.
-
-    Raises
-    ------
-    InputError
-        Naming the key that cannot be used.
-    """
-    return validated(_SavedExtended, data, where).model(where, catalogue)
-
-
 class _SavedParameter(Saved):
     name: str
-    value: Annotated[float, NULLABLE] = Field(description="a number, or null")
+    value: float = Field(description="a finite number")
     stderr: StandardError = Field(description="a standard error, or null")
     unit: str
 
@@ -145,23 +115,13 @@ class _SavedEffect(Saved):
         own = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
         _require(found == own, f"{where}.parameters", own, found)
         values = tuple(row.value for row in self.parameters)
+        for number, (value, p) in enumerate(zip(values, effect.parameters, strict=True), 1):
+            at, bounds = f"{where}.parameters[{number}].value", f"from {p.low:g} to {p.high:g}"
+            _require(p.low <= value <= p.high, at, f"{p.name} {bounds}", f"{value:g}")
         errors = tuple(row.stderr for row in self.parameters)
         added = AddedEffect(effect, values, errors, tuple(self.coefficients))
-        for number, (value, p) in enumerate(zip(values, effect.parameters, strict=True), 1):
-            counts = p.name == "intervals"
-            low, high = (1.0, MOST_INTERVALS - 1.0) if counts else (p.low, p.high)
-            # What was added and not fitted yet has no shape.
-            good = math.isnan(value) and not added.acts
-            good = good or (low <= value <= high and (value.is_integer() or not counts))
-            at = f"{where}.parameters[{number}].value"
-            _require(good, at, f"{p.name} from {low:g} to {high:g}", f"{value:g}")
-        allowed = (0, *_column_counts(where, added, terms))
-        _require(
-            len(self.coefficients) in allowed,
-            f"{where}.coefficients",
-            f"{' or '.join(map(str, allowed))} of {added.name}",
-            str(len(self.coefficients)),
-        )
+        n, found = _n_columns(where, added, terms), str(len(self.coefficients))
+        _require(found == str(n), f"{where}.coefficients", f"{n} of {added.name}", found)
         return added
 
 
@@ -197,17 +157,20 @@ class _SavedExtended(SavedModel):
         once = len(set(effects)) == len(effects)
         _require(once, f"{where}.effects", "each effect once", ", ".join(effects))
         return ExtendedLag(
-            time_constant_s=self.time_constant_s,
-            effects=tuple(
+            FittedLag(
+                target=self.target,
+                time_constant_s=self.time_constant_s,
+                hold=self.hold,
+                **self.common(),
+            ),
+            tuple(
                 entry.added(f"{where}.effects[{number}]", names, catalogue)
                 for number, entry in enumerate(self.effects, 1)
             ),
-            references=FrozenReferences(**dict(self.references)),
-            noise_sigma=self.noise.sigma,
-            noise_innovation=self.noise.innovation,
-            noise_ar=tuple(self.noise.ar),
-            hold=self.hold,
-            **self.common(),
+            FrozenReferences(**dict(self.references)),
+            self.noise.sigma,
+            self.noise.innovation,
+            tuple(self.noise.ar),
         )
 
 
@@ -216,16 +179,14 @@ def _require(good: bool, where: str, expected: str, found: str) -> None:
         raise InputError(where, expected=expected, found=found)
 
 
-def _column_counts(where: str, added: AddedEffect, terms: Sequence[str]) -> tuple[int, ...]:
-    """Return how many coefficients an effect has once it is fitted; empty for none."""
+def _n_columns(where: str, added: AddedEffect, terms: Sequence[str]) -> int:
+    """Return how many coefficients an effect has."""
     if not added.effect.linear or added.effect.episodes:
-        return ()
-    if added.name != SHAPE:
-        return (1,)
+        return 0
+    if added.name != "characteristic_shape":
+        return 1
     intervals, low, high = added.nonlinear
-    if math.isnan(intervals):
-        return ()
     at, expected = f"{where}.parameters", f"a range of φ for {added.name}, low to high"
     _require(low < high, at, expected, f"{low:g} to {high:g}")
     one = shape_columns(np.array([low]), (low, high), int(intervals), n_powers(terms))
-    return (one.shape[1],)
+    return int(one.shape[1])

@@ -2,58 +2,90 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.catalogue.workings import shape_columns
-from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.extended_parts import (
-    BENDING,
-    MOST_EFFECTS,
-    REVERSE,
-    SHAPE,
-    AddedEffect,
-    FreeRun,
-    by_record,
-    finite,
-    on_segments,
-    rows_in,
-)
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
-from comparisons.missing_effect.lag_data import FrozenReferences
+from comparisons.missing_effect.lag_data import FrozenReferences, LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.ports import n_powers
-from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
-from comparisons.results import FitRows, FittedLag, evaluate_terms
-from surge_core.display import Displayed, Field, Grid, Sheet
+from comparisons.missing_effect.ports import ages, lag_times
+from comparisons.missing_effect.quantities import numbers_of
+from comparisons.results import FitRows, FittedLag
 from surge_core.errors import InputError
-from surge_core.lag import Hold
-from surge_core.rounding import round_to_error, significant
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Channels of a series that an effect may need; the others follow from φ.
 CHANNELS = ("T25_K", "Nc_frac")
+# What the file of a plain lag says beside what a lag with effects has.
+OF_PLAIN_LAGS = ("dead_time_s", "covariance", "rows", "free_run_rms")
+# The start of a lag of second order is read from so many of its short times, and rows at least.
+START_TIMES = 2.0
+LEAST_START_ROWS = 4
 
 
 @dataclass(frozen=True)
-class ExtendedLag(Displayed):
+class AddedEffect:
+    """One effect of a model, with its numbers.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of the built-in catalogue, or one's own.
+    values, stderr : tuple of float
+        Its parameters in their order and units, and their standard errors.
+    coefficients : tuple of float
+        Of the columns that it adds; empty for an effect without any, and for a ripple, whose
+        phases belong to the episodes that it was fitted to.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    stderr: tuple[float, ...]
+    coefficients: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its identifier."""
+        return self.effect.name
+
+    @property
+    def nonlinear(self) -> FloatArray:
+        """Values of the parameters that are no coefficients, in their order."""
+        pairs = zip(self.effect.parameters, self.values, strict=True)
+        return np.array([value for p, value in pairs if p.kind != "linear"])
+
+    @property
+    def numbers(self) -> tuple[FittedParameter, ...]:
+        """Its numbers with names and units."""
+        rows = zip(self.effect.parameters, self.values, self.stderr, strict=True)
+        return tuple(FittedParameter(p.name, value, error, p.unit) for p, value, error in rows)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as plain JSON types, NaN for what is not known."""
+        return {
+            "effect": self.name,
+            "equation": self.effect.equation,
+            "parameters": [asdict(p) for p in self.numbers],
+            "coefficients": list(self.coefficients),
+        }
+
+
+@dataclass(frozen=True)
+class ExtendedLag:
     """τ dψ'/dt + ψ' = Σ β_i s_i(φ) with up to three effects of the catalogue, and numbers in it.
 
     Parameters
     ----------
-    time_constant_s, time_constant_stderr_s : float
-        τ and its standard error, in seconds.
-    terms : tuple of str
-        Names of the s_i.
-    coefficients, stderr : tuple of float
-        β_i and their standard errors.
+    lag : FittedLag
+        τ, the terms s_i and β_i, and the characteristic with the loss in reversed flow and the free
+        shape, without hysteresis. Its hold is a spline through the samples of φ, joined by lines on
+        a four times finer grid: the finer form of ``"first"``.
     effects : tuple of AddedEffect
         What was added, in that order.
     references : FrozenReferences
@@ -62,97 +94,46 @@ class ExtendedLag(Displayed):
         Standard deviation of an error of the fit, and of what is new in it.
     noise_ar : tuple of float
         Autoregression of the errors; empty where they are white.
-    valid_phi : tuple of float
-        Range of φ in which the curve can be trusted.
-    table : tuple of tuple of float
-        The characteristic as (φ, value, standard error).
-    n_blocks : int
-        Blocks behind the standard errors.
-    estimator : str
-        What it is called among other models.
-    hold : {"zero", "first"}
-        How φ acts between samples; a spline through them, joined by lines on a four times finer
-        grid, is the finer form of ``"first"``.
     """
 
-    time_constant_s: float
-    time_constant_stderr_s: float
-    terms: tuple[str, ...]
-    coefficients: tuple[float, ...]
-    stderr: tuple[float, ...]
+    lag: FittedLag
     effects: tuple[AddedEffect, ...]
     references: FrozenReferences
     noise_sigma: float
     noise_innovation: float
     noise_ar: tuple[float, ...]
-    valid_phi: tuple[float, float]
-    table: tuple[tuple[float, float, float], ...]
-    n_blocks: int = 0
-    estimator: str = "extended"
-    hold: Hold = "first"
+
+    @property
+    def estimator(self) -> str:
+        """What it is called among other models."""
+        return self.lag.estimator
 
     @property
     def target(self) -> str:
         """The coefficient that it gives."""
-        return "psi_p"
+        return self.lag.target
 
     @property
-    def label(self) -> str:
-        """What people call it."""
-        return " + ".join(["lag", *(added.name for added in self.effects)])
+    def time_constant_s(self) -> float:
+        """τ, in seconds."""
+        return self.lag.time_constant_s
 
     @property
-    def bending(self) -> tuple[AddedEffect, ...]:
-        """Effects that are functions of φ alone, and so bend the characteristic."""
-        return tuple(one for one in self.effects if one.name in BENDING and one.acts)
+    def valid_phi(self) -> tuple[float, float]:
+        """Range of φ in which the curve can be trusted."""
+        return self.lag.valid_phi
 
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Effects that a simulation of another record leaves out: their phases are not known."""
-        return tuple(added.name for added in self.effects if added.effect.episodes)
+    def called(self, name: str) -> ExtendedLag:
+        """Return the model under another name."""
+        return replace(self, lag=replace(self.lag, estimator=name))
 
-    def with_effect(self, effect: Effect | str) -> ExtendedLag:
-        """Return the model with one effect more, which does nothing until it is fitted.
-
-        Parameters
-        ----------
-        effect : Effect or str
-            An effect, or the name of one of the built-in catalogue.
-
-        Raises
-        ------
-        InputError
-            For a name that is unknown, and for an effect that is there already, acts on no port
-            of a model, or would be the fourth.
-        """
-        found = find_effect(effect) if isinstance(effect, str) else effect
-        if found.port == "noise":
-            raise InputError("effect", expected="one that acts on the model", found=found.name)
-        if found.name in {added.name for added in self.effects}:
-            raise InputError("effect", expected="one the model lacks", found=found.name)
-        if len(self.effects) >= MOST_EFFECTS:
-            raise InputError(
-                "effect",
-                expected=f"at most {MOST_EFFECTS} effects",
-                found=f"one more: {found.name}",
-            )
-        # Amplitude 0, and a shape that is not known yet.
-        unknown = (math.nan,) * len(found.parameters)
-        return replace(
-            self, effects=(*self.effects, AddedEffect(found, (0.0, *unknown[1:]), unknown))
-        )
-
-    def simulate(
-        self,
-        record: CoefficientSeries,
-        labels: ArrayLike | None = None,
-        *,
-        start: Literal["measured", "rest"] = "measured",
-    ) -> FloatArray:
+    def simulate(self, record: CoefficientSeries, labels: ArrayLike | None = None) -> FloatArray:
         """Reconstruct ψ' of a record from its φ; nothing is refitted.
 
-        Each segment of at least 15 rows is one free run. A ripple is left out: its phase differs
-        from one stall episode to the next, and in another record it is unknown.
+        Each segment of at least 15 rows is one free run from its first measured ψ'; a lag of second
+        order reads its two numbers from the first rows, as many as its short time constant lasts
+        twice. A ripple is left out: its phase differs from one stall episode to the next, and in
+        another record it is unknown.
 
         Parameters
         ----------
@@ -160,10 +141,6 @@ class ExtendedLag(Displayed):
             Of any length; its segments, temperature, speed and clock need not be those of the fit.
         labels : array-like of int, shape (n,), optional
             Starts again from the measured ψ' wherever these change within a segment.
-        start : {"measured", "rest"}
-            Whether a run starts from the first measured ψ' of its segment, or from the quasi-steady
-            value ten rows before it. A lag of second order reads its two numbers from the first
-            rows, as many as its short time constant lasts twice.
 
         Returns
         -------
@@ -175,54 +152,40 @@ class ExtendedLag(Displayed):
         InputError
             When the record lacks a channel that an effect needs.
         """
-        run = self._run(record)
-        values = run.free
-        if start == "measured":
-            values = values + run.started(record.segment if labels is None else np.asarray(labels))
+        data, fit = self._on(record)
+        at = _rows_in(record, data.sampled(data["time_s"]))
+        marks = (record.segment if labels is None else np.asarray(labels))[at]
+        ports = fit.structure.ports(data, fit.nonlinear)
+        age, free = ages(ports, data, fit.tau_s), fit.output(data)
+        gain = np.broadcast_to(ports.out_gain, free.shape)
+        times = lag_times(fit.tau_s, ports.a2_s2)
         out = np.full(record.n_samples, np.nan)
-        out[run.at[run.scored]] = values[run.scored]
+        for run in data.slices:
+            rows = np.arange(run.start, run.stop)[data.weight[run] > 0.0]
+            for piece in np.split(rows, np.flatnonzero(np.diff(marks[rows])) + 1):
+                off = (data.measured - free)[piece]
+                lasting = np.exp(age[piece[0]] - age[piece])
+                start = _from_start(off, lasting, times, data.sample_period_s)
+                out[at[piece]] = free[piece] + gain[piece] / gain[piece[0]] * start
         return out
 
-    def one_step(self, record: CoefficientSeries) -> tuple[FloatArray, BoolArray]:
-        """Predict each row of a record from the measured row before it.
-
-        Parameters
-        ----------
-        record : CoefficientSeries
-            The record.
-
-        Returns
-        -------
-        prediction : ndarray of shape (n,)
-            NaN outside the segments.
-        known : ndarray of bool, shape (n,)
-            Rows with a measured row before them.
-        """
-        run = self._run(record)
-        prediction, known = run.one_step()
-        out, there = np.full(record.n_samples, np.nan), np.zeros(record.n_samples, dtype=np.bool_)
-        out[run.at[run.scored]] = prediction[run.scored]
-        there[run.at[known]] = True
-        return out, there
-
-    def _run(self, record: CoefficientSeries) -> FreeRun:
-        for added in self.effects:
+    def _on(self, record: CoefficientSeries) -> tuple[LagData, Fit]:
+        """Return a record as rows, in the references of the model, and the model on them."""
+        acting = [added for added in self.effects if not added.effect.episodes]
+        for added in acting:
             needed = added.effect.needs
-            if added.acts and needed in CHANNELS and getattr(record, needed) is None:
+            if needed in CHANNELS and getattr(record, needed) is None:
                 raise InputError(
                     record.source,
                     expected=f"the column {needed}, which {added.name} needs",
                     found="none",
                 )
-        data = load_data([on_segments(record, record.segment)])
-        data = replace(data, references=self.references)
-        acting = [added for added in self.effects if added.acts]
+        data = replace(load_data([on_segments(record, record.segment)]), references=self.references)
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
         groups = {added.name: np.asarray(added.coefficients) for added in acting}
-        groups[TERMS] = np.asarray(self.coefficients)
-        structure = Structure(self.terms, tuple(added.effect for added in acting))
-        fit = Fit.assembled(structure, data, np.concatenate(nonlinear), groups)
-        return FreeRun(data, fit, rows_in(record, data.sampled(data["time_s"])))
+        groups[TERMS] = np.asarray(self.lag.coefficients)
+        structure = Structure(self.lag.terms, tuple(added.effect for added in acting))
+        return data, Fit.assembled(structure, data, np.concatenate(nonlinear), groups)
 
     def free_run_over(
         self, rows: FitRows, records: Sequence[CoefficientSeries], labels: IntArray | None = None
@@ -257,59 +220,28 @@ class ExtendedLag(Displayed):
         records : sequence of CoefficientSeries
             The records they come from.
         """
-        out, known = np.empty(rows.phi.size), np.zeros(rows.phi.size, dtype=np.bool_)
-        for record, own, at in by_record(rows, records):
-            prediction, there = self.one_step(record)
-            out[own], known[own] = prediction[at], there[at]
-        return out, known
-
-    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
-        """Return the characteristic at φ, at the start of the clock and the mean speed.
-
-        With the loss in reversed flow and the free shape, without hysteresis, of shape (n,).
-        """
-        names, coefficients = self.curve_terms()
-        columns = curve_columns(names, np.asarray(phi, dtype=np.float64), self)
-        return np.asarray(columns @ coefficients)
-
-    def curve_terms(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Return the names of all that is a function of φ alone, and one coefficient a column."""
-        values = [*self.coefficients, *(b for one in self.bending for b in one.coefficients)]
-        return (*self.terms, *(one.name for one in self.bending)), np.array(values)
+        row = np.arange(rows.phi.size)
+        # Free runs of two rows each, which begin at the even rows and at the odd ones.
+        odd, even = (self.free_run_over(rows, records, (row + k) // 2) for k in (0, 1))
+        known = np.ones(row.size, dtype=np.bool_)
+        known[[run.start for run in rows.runs]] = False
+        return np.where(row % 2, odd, even), known
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
-        lag = FittedLag(
-            "",
-            self.target,
-            self.time_constant_s,
-            self.time_constant_stderr_s,
-            self.terms,
-            self.coefficients,
-            self.stderr,
-            self.hold,
-            self.valid_phi,
-            self.table,
-        )
-        text = lag.equation()
+        text = self.lag.equation()
         for added in self.effects:
-            text += f"; {added.name}: {added.effect.equation}, {_numbers(added)}"
+            alone = " (not simulated: phase unknown)" if added.effect.episodes else ""
+            numbers = numbers_of(added.name, added.numbers)
+            text += f"; {added.name}: {added.effect.equation}, {numbers}{alone}"
         return text
 
     def to_json(self) -> dict[str, Any]:
-        """Return the value as plain JSON types."""
-        rows = zip(self.terms, self.coefficients, self.stderr, strict=True)
+        """Return the value as plain JSON types, NaN for what is not known."""
+        plain = self.lag.to_json()
         return {
-            "estimator": self.estimator,
-            "target": self.target,
+            **{name: value for name, value in plain.items() if name not in OF_PLAIN_LAGS},
             "equation": self.equation(),
-            "time_constant_s": self.time_constant_s,
-            "time_constant_stderr_s": finite(self.time_constant_stderr_s),
-            "hold": self.hold,
-            "terms": [
-                {"name": name, "coefficient": value, "stderr": finite(stderr)}
-                for name, value, stderr in rows
-            ],
             "effects": [added.to_json() for added in self.effects],
             "references": {**vars(self.references), "phi_range": list(self.references.phi_range)},
             "noise": {
@@ -317,66 +249,53 @@ class ExtendedLag(Displayed):
                 "innovation": self.noise_innovation,
                 "ar": list(self.noise_ar),
             },
-            "valid_phi": list(self.valid_phi),
-            "n_blocks": self.n_blocks,
-            "characteristic": [[finite(v) for v in row] for row in self.table],
         }
 
-    def _sheet(self) -> Sheet:
-        tau = round_to_error(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
-        terms = tuple(
-            (name, round_to_error(value, stderr))
-            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
-        )
-        effects = tuple(
-            (
-                added.name,
-                equation_of(added.effect),
-                symbol(p.name),
-                quantity(p.value, p.stderr, p.unit),
-            )
-            for added in self.effects
-            for p in added.numbers
-        )
-        header = ("effect", "adds", "number", "value")
-        grids = [Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), terms)]
-        if effects:
-            grids.append(Grid("Effects", header, effects, frozenset({0, 1, 2})))
-        return Sheet(
-            f"Lag model with effects: {self.label}",
-            (
-                Field("time constant τ", f"{tau} ms"),
-                Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
-                Field("noise (std)", significant(self.noise_sigma, 3)),
-            ),
-            tuple(grids),
-        )
+
+def on_segments(record: CoefficientSeries, segment: IntArray) -> CoefficientSeries:
+    """Return a record of such segments, without the unfiltered columns that it may carry."""
+    return replace(
+        record,
+        segment=segment,
+        phi_unfiltered=None,
+        psi_p_unfiltered=None,
+        stalled=None,
+        free_run=None,
+    )
 
 
-def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> FloatArray:
-    """Return the columns of a characteristic over φ, effects that bend it among them.
+def by_record(
+    rows: FitRows, records: Sequence[CoefficientSeries]
+) -> Iterator[tuple[CoefficientSeries, BoolArray, IntArray]]:
+    """Return each record with the rows of a comparison that are its own, and where they stand."""
+    for i, record in enumerate(records):
+        own = rows.record == i
+        yield record, own, _rows_in(record, rows.time_s[own])
 
-    Parameters
-    ----------
-    names : sequence of str
-        Terms, and names of effects that are functions of φ alone.
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    model : ExtendedLag
-        Whose effects they are.
+
+def _rows_in(record: CoefficientSeries, time_s: FloatArray) -> IntArray:
+    """Return the rows of a record at given times of its clock, of shape (n,)."""
+    at = np.rint((time_s - record.time_s[0]) / record.sample_period_s)
+    return np.asarray(at.astype(np.int64))
+
+
+def _from_start(
+    off: FloatArray, lasting: FloatArray, times: tuple[float, float, float], period_s: float
+) -> FloatArray:
+    """Return what the measured start of a free run adds to it.
+
+    ``off`` is how far the measured rows are from a run from rest, ``lasting`` what the lag leaves
+    of its start, ``times`` those of `lag_times`.
     """
-    columns = [evaluate_terms(list(model.terms), phi)]
-    for added in model.effects:
-        if added.name == REVERSE and added.name in names:
-            columns.append(evaluate_terms(["phi^2[phi<0]"], phi))
-        elif added.name == SHAPE and added.name in names:
-            intervals, low, high = added.nonlinear
-            columns.append(shape_columns(phi, (low, high), int(intervals), n_powers(model.terms)))
-    return np.column_stack(columns)
-
-
-def _numbers(added: AddedEffect) -> str:
-    if not added.fitted:
-        return "not fitted"
-    text = numbers_of(added.name, added.numbers)
-    return f"{text} (not simulated: phase unknown)" if added.effect.episodes else text
+    _, fast_s, turn = times
+    lasts_s = 1.0 / turn if turn > 0.0 else fast_s
+    n = max(LEAST_START_ROWS, round(START_TIMES * lasts_s / period_s))
+    if lasts_s == 0.0 or off.size < LEAST_START_ROWS:
+        return np.asarray(off[0] * lasting)
+    # ψ' and its rate: two numbers, of which one row measures but one. A lag of second order
+    # forgets in two ways, the second a swing or a shorter time.
+    since_s = np.arange(off.size) * period_s
+    second = np.exp(-since_s / fast_s) if turn == 0.0 else np.sin(turn * since_s) * lasting
+    modes = np.column_stack([lasting, second])
+    sizes = np.linalg.lstsq(modes[:n], off[:n], rcond=1e-6)[0]
+    return np.asarray(modes @ sizes)

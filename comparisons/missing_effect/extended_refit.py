@@ -14,31 +14,31 @@ from comparisons.harness.estimators import EstimatorSpec
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench, refitted_on
 from comparisons.missing_effect.conclusion import covariance_of, fitted_parameters
-from comparisons.missing_effect.effect import Effect, FittedParameter
-from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
-from comparisons.missing_effect.extended_parts import (
-    REVERSE,
-    SHAPE,
+from comparisons.missing_effect.extended_lag import (
     AddedEffect,
+    ExtendedLag,
     by_record,
     on_segments,
 )
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
+from comparisons.missing_effect.lag_curves import bent_ports
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
-from comparisons.results import FitRows
+from comparisons.results import FitRows, FittedLag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 121
-_CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
+# Effects that are functions of φ alone, and so bend the characteristic; what a comparison calls
+# their largest coefficient.
+BENDING = {"reverse_flow_branch": "phi^2[phi<0]", "characteristic_shape": "characteristic_shape"}
 
 
-def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
-    """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
+def value_of(diagnosis: LagDiagnosis) -> ExtendedLag:
+    """Take the numbers out of the model after of a diagnosis.
 
     Raises
     ------
@@ -46,12 +46,15 @@ def value_of(source: LagDiagnosis | Fit, data: LagData | None = None) -> Extende
         When the model holds a term without a name: that says that something is missing and is
         no model of it.
     """
-    if isinstance(source, LagDiagnosis):
-        return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
-    if data is None:
-        raise InputError("data", expected="the rows that the fit was made on", found="none")
-    bench = _bench(source, data)
-    return _value(source, replace(bench, metric=_own_metric(bench)))
+    for effect in diagnosis.after.structure.effects:
+        if effect.unnamed:
+            raise InputError(
+                "model",
+                expected="effects of the catalogue alone",
+                found=f"the term {effect.name}, which has no name",
+                remedy="it says that something is missing and is no model of it",
+            )
+    return model_of(diagnosis.after, replace(diagnosis.rounds[-1].bench, data=diagnosis.data))
 
 
 def refitted(
@@ -74,19 +77,26 @@ def refitted(
     plain = Metric(model.noise_sigma)
     # The frequency of a ripple is known to one part in the length of a record, and beyond that a
     # search that begins beside it finds another line.
-    known = [added for added in model.effects if added.fitted and not added.effect.episodes]
-    structure = Structure(model.terms, tuple(added.effect for added in known))
+    known = [added for added in model.effects if not added.effect.episodes]
+    structure = Structure(model.lag.terms, tuple(added.effect for added in known))
     start = [np.log([model.time_constant_s]), *(added.nonlinear for added in known)]
     fit = refitted_on(Fit(structure, np.concatenate(start)), data, plain)
     for added in model.effects:
         if added not in known:
-            fit = _with_effect(fit, added, data, plain)
-    metric = _own_metric(_bench(fit, data))
+            found = Prober(fit, data, plain).fitted(added.effect)
+            if found is None:
+                raise InputError(
+                    ", ".join(data.sources),
+                    expected=f"records in which {added.name} can be detected",
+                    found="none of the rows that it acts on",
+                )
+            fit = found
+    metric = _own_metric(Bench(data, fit, Metric(), block_rows(data), 1))
     # In the order in which they were added, whatever order they were searched in.
-    structure = Structure(model.terms, tuple(added.effect for added in model.effects))
+    structure = Structure(model.lag.terms, tuple(added.effect for added in model.effects))
     start = [fit.nonlinear[:1], *map(fit.values_of, structure.effects)]
     fit = refitted_on(Fit(structure, np.concatenate(start)), data, metric)
-    return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
+    return model_of(fit, Bench(data, fit, metric, block_rows(data), 1)).called(model.estimator)
 
 
 def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> LagData:
@@ -102,22 +112,6 @@ def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] 
     return data.over_all_phi()
 
 
-def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) -> Fit:
-    """Fit one effect more, from where the errors of the model without it tell to begin."""
-    found = Prober(fit, data, metric).fitted(added.effect)
-    if found is None:
-        raise InputError(
-            ", ".join(data.sources),
-            expected=f"records in which {added.name} can be detected",
-            found="none of the rows that it acts on",
-        )
-    return found
-
-
-def _bench(fit: Fit, data: LagData, metric: Metric | None = None) -> Bench:
-    return Bench(data, fit, metric or Metric(), block_rows(data), 1)
-
-
 def _own_metric(bench: Bench) -> Metric:
     """Return the metric in which the errors of a fit to all rows are white.
 
@@ -131,65 +125,52 @@ def _own_metric(bench: Bench) -> Metric:
     return noise.metric(weights_of(errors, noise, bench.data))
 
 
-def _value(fit: Fit, bench: Bench) -> ExtendedLag:
-    for effect in fit.structure.effects:
-        if effect.unnamed:
-            raise InputError(
-                "model",
-                expected="effects of the catalogue alone",
-                found=f"the term {effect.name}, which has no name",
-                remedy="it says that something is missing and is no model of it",
-            )
+def model_of(fit: Fit, bench: Bench) -> ExtendedLag:
+    """Return a fit to all rows of a bench as a model, with the errors of its numbers."""
     data, noise = bench.data, bench.noise(fit)
     covariance = covariance_of(fit, bench)
     parameters = fitted_parameters(fit, bench, covariance)
-    n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
-    linear = covariance[n_free:, n_free:]
+    linear = covariance[len(fit.structure.free) :, len(fit.structure.free) :]
     groups = fit.groups(data)
-    effects = tuple(_added(e, parameters[e.name], groups) for e in fit.structure.effects)
-    stderr = np.sqrt(np.maximum(np.diag(linear)[:n_terms], 0.0))
+    effects = []
+    for effect in fit.structure.effects:
+        values, errors = zip(*((p.value, p.stderr) for p in parameters[effect.name]), strict=True)
+        kept = () if effect.episodes else groups.get(effect.name, ())
+        effects.append(AddedEffect(effect, values, errors, tuple(map(float, kept))))
     phi = data.sampled(data["phi"])[data.scored()]
-    model = ExtendedLag(
+    stderr = np.sqrt(np.maximum(np.diag(linear)[: len(fit.structure.terms)], 0.0))
+    lag = FittedLag(
+        "extended",
+        "psi_p",
         fit.tau_s,
         fit.tau_s * float(np.sqrt(max(covariance[0, 0], 0.0))),
         fit.structure.terms,
         tuple(groups[TERMS].tolist()),
         tuple(stderr.tolist()),
-        effects,
-        data.references,
-        noise.sigma,
-        noise.innovation,
-        noise.ar,
+        "first",
         trusted_range(phi),
-        (),
+        _table(fit, data, linear, phi),
         int(bench.rows.block.max()) + 1,
     )
-    return replace(model, table=_table(model, fit, data, linear, phi))
-
-
-def _added(
-    effect: Effect, parameters: Sequence[FittedParameter], groups: Mapping[str, FloatArray]
-) -> AddedEffect:
-    kept = () if effect.episodes else groups.get(effect.name, ())
-    values, errors = zip(*((p.value, p.stderr) for p in parameters), strict=True)
-    return AddedEffect(effect, values, errors, tuple(map(float, kept)))
+    return ExtendedLag(
+        lag, tuple(effects), data.references, noise.sigma, noise.innovation, noise.ar
+    )
 
 
 def _table(
-    model: ExtendedLag, fit: Fit, data: LagData, covariance: FloatArray, phi: FloatArray
+    fit: Fit, data: LagData, covariance: FloatArray, phi: FloatArray
 ) -> tuple[tuple[float, float, float], ...]:
     """Return the characteristic over the range of φ with its standard error."""
     grid = np.linspace(float(phi.min()), float(phi.max()), CURVE_POINTS)
-    names, coefficients = model.curve_terms()
-    columns = curve_columns(names, grid, model)
+    bending = [effect for effect in fit.structure.in_order if effect.name in BENDING]
+    ports = bent_ports(fit, data, grid, bending)
+    columns = np.column_stack([ports.driven, ports.added])
     slices = fit.structure.layout(data, fit.nonlinear)
-    bending = names[len(model.terms) :]
-    rows = np.r_[tuple(slices[name] for name in (TERMS, *bending))]
-    own = covariance[np.ix_(rows, rows)]
-    variance = np.einsum("ij,jk,ik->i", columns, own, columns)
-    value = columns @ coefficients
-    error = np.sqrt(np.maximum(variance, 0.0))
-    return tuple(zip(grid.tolist(), value.tolist(), error.tolist(), strict=True))
+    # In the order of the coefficients: what the lag passes, then what is added behind it.
+    rows = np.r_[tuple(slices[name] for name in slices if name in (TERMS, *BENDING))]
+    variance = np.einsum("ij,jk,ik->i", columns, covariance[np.ix_(rows, rows)], columns)
+    table = grid, columns @ fit.coefficients[rows], np.sqrt(np.maximum(variance, 0.0))
+    return tuple(zip(*(column.tolist() for column in table), strict=True))
 
 
 def as_estimator(model: ExtendedLag, *, whole_runs: bool = False) -> SimpleNamespace:
@@ -198,28 +179,29 @@ def as_estimator(model: ExtendedLag, *, whole_runs: bool = False) -> SimpleNames
     Terms and characteristic are functions of φ alone, of a free shape the largest coefficient that
     it adds; what else the model holds is in ``extended_``, which reconstructs.
     """
-    stderr = [*model.stderr, *(one.stderr[0] for one in model.bending)]
+    lag, bending = model.lag, [one for one in model.effects if one.name in BENDING]
     words = [
-        f"{name} is left out of the reconstruction: its phase is not known beforehand"
-        for name in model.left_out
+        f"{one.name} is left out of the reconstruction: its phase is not known beforehand"
+        for one in model.effects
+        if one.effect.episodes
     ]
     if whole_runs:
         words.append("fitted to unfiltered signals, scored on the filtered rows of the others")
 
     def characteristic(phi: FloatArray) -> tuple[FloatArray, FloatArray]:
-        grid, _, error = np.asarray(model.table).T
-        return model.quasi_steady(phi), np.interp(phi, grid, error)
+        grid, value, error = np.asarray(lag.table).T
+        return np.interp(phi, grid, value), np.interp(phi, grid, error)
 
     return SimpleNamespace(
         extended_=model,
-        time_constant_s_=model.time_constant_s,
-        time_constant_stderr_s_=model.time_constant_stderr_s,
-        terms_=[*model.terms, *(_CURVE_NAMES[one.name] for one in model.bending)],
-        coef_=[*model.coefficients, *(one.values[0] for one in model.bending)],
+        time_constant_s_=lag.time_constant_s,
+        time_constant_stderr_s_=lag.time_constant_stderr_s,
+        terms_=[*lag.terms, *(BENDING[one.name] for one in bending)],
+        coef_=[*lag.coefficients, *(one.values[0] for one in bending)],
         # What the coefficients share is in the error of the characteristic.
-        covariance_=np.diag(np.square(stderr)),
+        covariance_=np.diag(np.square([*lag.stderr, *(one.stderr[0] for one in bending)])),
         characteristic=characteristic,
-        n_blocks_=model.n_blocks,
+        n_blocks_=lag.n_blocks,
         cautions_=tuple(words),
     )
 
@@ -234,11 +216,9 @@ def extended_specs(
     specs = []
     for key, model in models.items():
         name = f"extended_{key}" if key in taken else key
-        named = replace(model, estimator=name)
+        named, label = model.called(name), " + ".join(["lag", *(e.name for e in model.effects)])
         specs.append(
-            EstimatorSpec(
-                name, model.label, partial(_fit_rows, named), partial(_fit_records, named)
-            )
+            EstimatorSpec(name, label, partial(_fit_rows, named), partial(_fit_records, named))
         )
     return tuple(specs)
 

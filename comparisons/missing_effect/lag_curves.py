@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.workings import clock_s
+from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.open_terms import with_own_state
@@ -122,14 +124,8 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
     low, high = float(seen.min()), float(seen.max())
     grid = np.linspace(low, high, CURVE_POINTS)
     phi = np.concatenate([grid[::-1], grid])
-    slow = _slow_data(data, phi, clock, speed)
-    ports = Ports.of(slow, phi, fit.structure.terms)
-    own = fit.coefficients[: len(fit.structure.terms)]
-    slow = slow.with_signal("state", ports.driven @ own)
-    for effect in fit.structure.in_order:
-        if effect.port == "characteristic":
-            values = fit.values_of(effect)
-            ports = effect.acts(ports, slow, values)
+    acting = [effect for effect in fit.structure.in_order if effect.port == "characteristic"]
+    ports = bent_ports(fit, data, phi, acting, clock, speed)
     q = ports.driven.shape[1]
     # A loss without the lag is part of what a steady test would find.
     behind = fit.coefficients[q + data.nuisance.shape[1] :][: ports.added.shape[1]]
@@ -141,6 +137,27 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
         Curve(f"φ falling {label}".strip(), grid, falling),
         Curve(f"φ rising {label}".strip(), grid, rising),
     )
+
+
+def bent_ports(
+    fit: Fit,
+    data: LagData,
+    phi: FloatArray,
+    effects: Sequence[Effect],
+    clock: float = 0.0,
+    speed: float = 1.0,
+) -> Ports:
+    """Return what stands at the ports while φ moves slowly, once some effects of a fit have acted.
+
+    The clock is in seconds from its zero; effects that follow no φ alone depend on it and on speed.
+    """
+    slow = _slow_data(data, phi, clock, speed)
+    ports = Ports.of(slow, phi, fit.structure.terms)
+    own = fit.coefficients[: len(fit.structure.terms)]
+    slow = slow.with_signal("state", ports.driven @ own)
+    for effect in effects:
+        ports = effect.acts(ports, slow, fit.values_of(effect))
+    return ports
 
 
 def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> LagData:
