@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
 TRAIN, LATER, OTHER = 0, 1, 2
@@ -204,22 +203,7 @@ class LagData:
 
     def with_signal(self, name: str, values: FloatArray) -> LagData:
         """Return the same data with one more fine signal."""
-        out = replace(self, signals={**self.signals, name: values})
-        # What is kept is a function of φ alone, which is the same.
-        out.__dict__["_kept_terms"] = self._kept_terms
-        return out
-
-    @cached_property
-    def _kept_terms(self) -> dict[tuple[str, ...], FloatArray]:
-        return {}
-
-    def terms_of_phi(self, terms: tuple[str, ...]) -> FloatArray:
-        """Return the terms s_i at the measured φ, of shape (N, n_terms), formed once."""
-        if terms not in self._kept_terms:
-            columns = evaluate_terms(list(terms), self.signals["phi"])
-            columns.setflags(write=False)
-            self._kept_terms[terms] = columns
-        return self._kept_terms[terms]
+        return replace(self, signals={**self.signals, name: values})
 
     def over_all_phi(self) -> LagData:
         """Return the same data with the range of φ of all scored rows."""

@@ -59,10 +59,9 @@ class Ports:
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
         """Return the ports of the base model at a φ."""
         names = tuple(terms)
-        known = phi is data.signals["phi"]
-        columns = data.terms_of_phi(names) if known else evaluate_terms(list(names), phi)
         nothing = np.zeros((data.n_samples, 0))
-        return cls(phi, columns, names, nothing, n_powers=n_powers(names))
+        driven = evaluate_terms(list(names), phi)
+        return cls(phi, driven, names, nothing, n_powers=n_powers(names))
 
     def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more inputs of the lag."""

@@ -77,11 +77,8 @@ class Prober:
         if effect.episodes:
             return self._ripple(effect)
         starts = effect.starts(self.data)
-        if effect.linear:
-            groups = self._linear_columns(effect, starts)
-        else:
-            groups = [self._slope(effect, start) for start in starts]
-        scored = [self._score(columns) for columns in groups]
+        columns_of = self._columns if effect.linear else self._slope
+        scored = [self._score(columns_of(effect, start)) for start in starts]
         price = 0.5 * float(np.log(max(int(np.count_nonzero(self.data.weight)), 2)))
         order = np.argsort([price * own.shape[1] - gain for gain, own, _ in scored])
         best = scored[order[0]]
@@ -114,31 +111,15 @@ class Prober:
         along = basis.T @ self.errors
         return 0.5 * float(along @ along), basis
 
-    def _linear_columns(self, effect: Effect, starts: FloatArray) -> list[FloatArray]:
-        """Return the answers to the columns of each start, all simulated in one pass."""
-        if effect.port == "input":
-            raise ValueError("an effect at the input has no column of its own")
-        q = self.ports.driven.shape[1]
-        p = self.ports.added.shape[1]
-        driven, added, owner = [], [], []
-        for i, start in enumerate(starts):
-            after = effect.acts(self.ports, self.data, start)
-            if after.driven.shape[1] > q:
-                driven.append(after.driven[:, q:])
-                owner += [i] * (after.driven.shape[1] - q)
-            elif after.added.shape[1] > p:
-                added.append((i, after.added[:, p:]))
-        groups: list[list[FloatArray]] = [[] for _ in starts]
-        if driven:
-            ports = replace(
-                self.ports, driven=np.column_stack(driven), added=self.ports.added[:, :0]
-            )
-            answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0])
-            for column, i in enumerate(owner):
-                groups[i].append(answer[:, column])
-        for i, columns in added:
-            groups[i].extend(columns.T)
-        return [np.column_stack(g) if g else np.zeros((self.data.n_samples, 1)) for g in groups]
+    def _columns(self, effect: Effect, start: FloatArray) -> FloatArray:
+        """Return the answers to the columns that an effect adds."""
+        after = effect.acts(self.ports, self.data, start)
+        own = replace(
+            after,
+            driven=after.driven[:, self.ports.driven.shape[1] :],
+            added=after.added[:, self.ports.added.shape[1] :],
+        )
+        return respond(own, self.data, self.fit.tau_s, self.data.nuisance[:, :0])
 
     def _slope(self, effect: Effect, start: FloatArray) -> FloatArray:
         amplitude = effect.parameters[0]
