@@ -22,6 +22,8 @@ from comparisons.missing_effect.quantities import size_words, symbol
 from surge_core.errors import InputError
 from surge_core.threads import one_thread
 
+# Share of the trials in which an effect of its limit is named.
+SHARE = 0.9
 # A first search asks only whether the effect would be accepted against the model without it; it
 # steps by this factor until the limit lies between two sizes, then halves the step twice.
 STEP = 1.4
@@ -183,11 +185,9 @@ class Limits:
 def planted_limits(
     diagnosis: LagDiagnosis,
     *,
-    effects: Sequence[Effect | str] | None = None,
-    share: float = 0.9,
+    effects: Sequence[str] | None = None,
     trials: int = 8,
     seed: int = 0,
-    check: bool = True,
     jobs: int = 1,
     progress: Callable[[Iterable[Limit]], Iterable[Limit]] = iter,
 ) -> Limits:
@@ -195,24 +195,20 @@ def planted_limits(
 
     The coefficient is simulated by the fitted model with the effect in it, from the records' own
     φ, temperature, speed and segments; noise like theirs is added; and the same workflow is run.
-    An effect counts as named when it stands in an alias set that is not provisional.
+    An effect counts as named when it stands in an alias set that is not provisional. Then 1.5 times
+    each limit is planted in fresh trials; where too few of these name the effect the limit is
+    sought above that.
 
     Parameters
     ----------
     diagnosis : LagDiagnosis
         Of the records; what it has added stays in the model.
-    effects : sequence of Effect or str, optional
-        In place of the whole catalogue of the diagnosis; one that is given as an effect competes
-        beside it.
-    share : float
-        Share of the trials in which it must be named.
+    effects : sequence of str, optional
+        In place of the whole catalogue of the diagnosis.
     trials : int
         Trials a size. All sizes meet the same noise, all effects too.
     seed : int
         Of the noise.
-    check : bool
-        Whether 1.5 times each limit is planted in fresh trials; where too few of these name the
-        effect the limit is sought above that.
     jobs : int
         Processes; the limits are the same for any number of them.
     progress : callable
@@ -221,41 +217,33 @@ def planted_limits(
     Raises
     ------
     InputError
-        For an unknown effect, a share outside (0, 1], or no trial.
+        For an unknown effect, or no trial.
     """
     from joblib import Parallel, delayed
 
-    if not 0.0 < share <= 1.0:
-        raise InputError("share", expected="more than 0 and at most 1", found=f"{share:g}")
     if trials < 1 or jobs < 1:
         raise InputError("trials, jobs", expected="at least 1", found=f"{trials}, {jobs}")
     begin = time.perf_counter()
-    wanted = [_wanted(e, diagnosis.catalogue) for e in effects or diagnosis.catalogue]
+    known = {effect.name: effect for effect in diagnosis.catalogue}
+    for name in effects or ():
+        if name not in known:
+            raise InputError("effects", expected=f"of {', '.join(known)}", found=repr(name))
+    wanted = [known[name] for name in effects or known]
     if diagnosis.whole_runs:
         return Limits(_of_twins(diagnosis, wanted), 1.0, 0, 0, 0.0, whole_runs=True)
     drill = _Drill(
         Planter.of(diagnosis),
         diagnosis.before.structure.terms,
-        math.ceil(share * trials - 1e-9),
+        math.ceil(SHARE * trials - 1e-9),
         trials,
         seed,
-        check,
-        tuple({e.name: e for e in (*diagnosis.catalogue, *wanted)}.values()),
+        diagnosis.catalogue,
     )
-    known = {**diagnosis.unavailable, **dict.fromkeys(diagnosis.names, KNOWN_ALREADY)}
+    why = {**diagnosis.unavailable, **dict.fromkeys(diagnosis.names, KNOWN_ALREADY)}
     never = _why_never(diagnosis)
-    tasks = (delayed(drill.limit)(effect, known.get(effect.name, never)) for effect in wanted)
+    tasks = (delayed(drill.limit)(effect, why.get(effect.name, never)) for effect in wanted)
     rows = tuple(progress(Parallel(jobs, return_as="generator")(tasks)))
-    return Limits(rows, share, trials, seed, time.perf_counter() - begin)
-
-
-def _wanted(effect: Effect | str, catalogue: Sequence[Effect]) -> Effect:
-    if isinstance(effect, Effect):
-        return effect
-    known = {e.name: e for e in catalogue}
-    if effect not in known:
-        raise InputError("effects", expected=f"of {', '.join(known)}", found=repr(effect))
-    return known[effect]
+    return Limits(rows, SHARE, trials, seed, time.perf_counter() - begin)
 
 
 def _why_never(diagnosis: LagDiagnosis) -> str:
@@ -281,7 +269,6 @@ class _Drill:
     needed: int
     trials: int
     seed: int
-    check: bool
     catalogue: tuple[Effect, ...]
 
     def limit(self, effect: Effect, why_none: str) -> Limit:
@@ -305,7 +292,7 @@ class _Drill:
                 break
             found = self._found(effect, size, named, attempt)
             runs += found.check_trials
-            if not self.check or found.check_named >= self.needed:
+            if found.check_named >= self.needed:
                 break
             # It was named by luck, or larger ones take other names: the limit lies higher.
             size = found.check_size
@@ -325,8 +312,6 @@ class _Drill:
     def _found(self, effect: Effect, size: float, named: int, attempt: int) -> Limit:
         others = [p.name for p in effect.nonlinear][0 if effect.linear else 1 :]
         check_size = min(CHECKED_AT * size, _largest(effect))
-        checked = self.trials if self.check else 0
-        kind = FRESH + attempt
         return replace(
             _no_limit(effect),
             size=size,
@@ -335,8 +320,10 @@ class _Drill:
             named=named,
             trials=self.trials,
             check_size=check_size,
-            check_named=sum(self._named(effect, check_size, kind, i) for i in range(checked)),
-            check_trials=checked,
+            check_named=sum(
+                self._named(effect, check_size, FRESH + attempt, i) for i in range(self.trials)
+            ),
+            check_trials=self.trials,
         )
 
     def _promise(self, effect: Effect, size: float) -> tuple[float, float]:

@@ -213,7 +213,7 @@ class Separation:
 
 
 def separating_measurements(
-    diagnosis: LagDiagnosis, *, changes: Sequence[Change] = CHANGES, seed: int = 0
+    diagnosis: LagDiagnosis, *, changes: Sequence[Change] = CHANGES
 ) -> Separation:
     """Simulate further experiments and see which would tell aliases apart.
 
@@ -227,8 +227,6 @@ def separating_measurements(
         With its alias sets.
     changes : sequence of Change
         The experiments.
-    seed : int
-        Of the phases that a ripple would have in them.
     """
     sets, known = [], {effect.name: effect for effect in diagnosis.catalogue}
     for item in diagnosis.missing:
@@ -237,7 +235,7 @@ def separating_measurements(
         if len(names) < 2 or item.effect not in diagnosis.after.structure.names:
             continue
         rivals = _Rivals.of(diagnosis, item.effect, [known[name] for name in names])
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         before, *made = (
             Measurement(change.name, change.says, rivals.distances(change, rng))
             for change in (AS_RECORDED, *changes)

@@ -72,7 +72,7 @@ def test_half_the_limit_is_not_named(limits: Limits, planter: Planter) -> None:
 
 def test_twice_the_noise_makes_the_limit_twice_as_large(limits: Limits) -> None:
     noisy = diagnose(records(noise_frac=0.02), degree=3)
-    loud = planted_limits(noisy, effects=["flow_inertia"], trials=6, check=False)["flow_inertia"]
+    loud = planted_limits(noisy, effects=["flow_inertia"], trials=6)["flow_inertia"]
     quiet = limits["flow_inertia"]
     assert loud.size == pytest.approx(2.0 * quiet.size, rel=0.25)
     # In units of the noise it is the same effect.
@@ -146,7 +146,6 @@ def test_what_the_records_have_is_not_planted_again(nothing_missing: Diagnosis) 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"share": 1.5}, "share: expected more than 0"),
         ({"trials": 0}, "expected at least 1"),
         ({"effects": ["rust"]}, "found 'rust'"),
     ],

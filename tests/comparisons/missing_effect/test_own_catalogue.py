@@ -96,7 +96,7 @@ def test_it_is_simulated_saved_and_fitted_again(found: Diagnosis, tmp_path: Path
 
 def test_its_limit_and_what_would_separate_it_are_found(found: Diagnosis) -> None:
     clean = diagnose(series_of(simulate_test(None, seed=2, n_samples=400)), 3, catalogue=OWN)
-    limits = planted_limits(clean, effects=["probe_swirl"], trials=3, check=False)
+    limits = planted_limits(clean, effects=["probe_swirl"], trials=3)
     assert 0.0 < limits["probe_swirl"].size < SIZE
     assert [row.effect for row in limits.rows] == ["probe_swirl"]
     with pytest.raises(InputError, match="probe_swirl"):
