@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from comparisons.cli.output import page, write_asked
 from comparisons.cli.study import run_cells
-from comparisons.missing_effect.firm_names import FirmNames
+from comparisons.missing_effect.diagnosis import FirmNames
 from comparisons.page.blocks import Part, Picture, Table, Words
 from comparisons.show.figures import write_figures
 from comparisons.study.bench import COUNTS, bench_rows, bench_spec, draw_ranks, ranks_of

@@ -149,3 +149,15 @@ def _otherwise(left: Leftover, noise: NoiseModel) -> str:
     if noise.coloured or noise.heavy_tailed:
         return "noise_model_wrong"
     return "nothing_missing"
+
+
+class FirmNames:
+    """Names effects as ``sindy-surge diagnose`` does, with its defaults: as the bench asks it."""
+
+    def firm_names(self, records: Sequence[CoefficientSeries]) -> tuple[str, ...]:
+        """Return the effects that are named firmly on records of one machine."""
+        return tuple(
+            each.effect
+            for each in diagnose(list(records)).missing
+            if not (each.provisional or each.unnamed or len(each.alias_set) > 1)
+        )

@@ -20,30 +20,20 @@ if TYPE_CHECKING:
         Model, Experiment | Sequence[Experiment], Experiment | Sequence[Experiment]
     ]
 
-# More than this is no missing effect any more but another model.
-MOST_EFFECTS_ASKED = 6
-DEFAULT_EFFECTS = 4
+MOST_EFFECTS, DEFAULT_EFFECTS = 6, 4
 # A diagnosis says its progress at most so often beside the rounds: two fits.
 FITS = 2
-EXIT_DONE, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
 
 
-def run_script(
-    diagnoses: Mapping[str, Case],
-    argv: Sequence[str] | None = None,
-    most_effects: int = DEFAULT_EFFECTS,
-) -> int:
+def run_script(diagnoses: Mapping[str, Case]) -> int:
     """Run diagnoses as a script: print them, and write what its options ask for.
+
+    The options are ``--json FILE``, ``--report FILE.html`` and ``--max-effects N``.
 
     Parameters
     ----------
     diagnoses : mapping of str to (Model, fit experiments, check experiments)
         By name; the document of the first is the top level of the JSON.
-    argv : sequence of str, optional
-        Options ``--json FILE``, ``--report FILE.html``, ``--max-effects N``; those of the process
-        without it.
-    most_effects : int
-        Add at most so many to each model where ``--max-effects`` does not say.
 
     Returns
     -------
@@ -54,28 +44,25 @@ def run_script(
     parser = argparse.ArgumentParser(
         description="Diagnose what a model lacks against its measured records."
     )
-    add = parser.add_argument
-    add("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
-    add("--report", type=Path, metavar="FILE.html", help="write the report")
-    add(
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
+    parser.add_argument(
         "--max-effects",
         type=int,
-        choices=range(1, MOST_EFFECTS_ASKED + 1),
-        default=most_effects,
+        choices=range(1, MOST_EFFECTS + 1),
+        default=DEFAULT_EFFECTS,
         metavar="N",
-        help=f"add at most so many effects (default: {most_effects})",
+        help=f"add at most so many effects (default: {DEFAULT_EFFECTS})",
     )
-    given = parser.parse_args(argv)
-    command = " ".join([parser.prog, *(sys.argv[1:] if argv is None else argv)])
-    code, said = EXIT_UNUSABLE, ""
+    given = parser.parse_args()
+    code, said = 2, ""
     try:
-        _run(diagnoses, given, command)
-        sys.stdout.flush()
-        return EXIT_DONE
+        _run(diagnoses, given, " ".join([parser.prog, *sys.argv[1:]]))
+        return 0
     except InputError as error:
         said = str(error)
     except KeyboardInterrupt:
-        code, said = EXIT_INTERRUPTED, "interrupted; files that were finished are whole"
+        code, said = 130, "interrupted; files that were finished are whole"
     except OSError as error:
         said = f"{error.filename or 'output'}: {error.strerror}"
     sys.stderr.write(f"{parser.prog}: {said}\n")
