@@ -18,6 +18,7 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import block_rows, is_whole, load_data
 from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
+from comparisons.missing_effect.ports import powers_of_phi
 from comparisons.missing_effect.probes import Leftover
 from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import alias_sets, search
@@ -31,13 +32,6 @@ MOST_EFFECTS = 3
 LARGEST_MEMORY = 0.9
 BESIDE_A_TERM = "a term without a name had to stand beside it"
 NO_SMALLER = "it makes the error on held-out rows no smaller"
-
-
-def _polynomial_terms(degree: int) -> tuple[str, ...]:
-    """Return the names of the powers of φ up to a degree."""
-    if not 1 <= degree <= 8:
-        raise InputError("degree", expected="1 to 8", found=f"{degree}")
-    return ("1", "phi", *(f"phi^{k}" for k in range(2, degree + 1)))
 
 
 @one_thread()
@@ -75,7 +69,9 @@ def diagnose(
     InputError
         When the records do not go together or hold too few rows.
     """
-    base = tuple(terms) if terms is not None else _polynomial_terms(degree)
+    if not 1 <= degree <= 8:
+        raise InputError("degree", expected="1 to 8", found=f"{degree}")
+    base = powers_of_phi(degree) if terms is None else tuple(terms)
     if most_effects < 1:
         raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
     if records and all(map(is_whole, records)):

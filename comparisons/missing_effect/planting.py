@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.candidates import over_rows
-from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
+from comparisons.missing_effect.catalogue.workings import ripple_waves, shape_columns
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
@@ -123,9 +123,7 @@ class Planter:
         if not effect.linear:
             return np.zeros(0)
         if effect.episodes:
-            n = len(stall_episodes(self.data, float(self.shape(effect)[1])))
-            phase = rng.uniform(0.0, 2.0 * np.pi, n)
-            return size * np.column_stack([np.cos(phase), np.sin(phase)]).ravel()
+            return ripple_waves(self.data, float(self.shape(effect)[1]), size, rng)
         if effect.name == "characteristic_shape":
             return size * self._bump
         return np.array([size])

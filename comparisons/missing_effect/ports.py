@@ -84,8 +84,13 @@ class Ports:
 
 def n_powers(terms: Sequence[str]) -> int:
     """Return how many powers of φ, from the constant on without a gap, are among terms."""
-    powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
+    powers = powers_of_phi(len(terms))
     return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
+
+
+def powers_of_phi(degree: int) -> tuple[str, ...]:
+    """Return the names of the powers of φ up to a degree, one or more."""
+    return ("1", "phi", *(f"phi^{k}" for k in range(2, degree + 1)))
 
 
 def respond(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.candidates import refitted_on
-from comparisons.missing_effect.catalogue.workings import stall_episodes
+from comparisons.missing_effect.catalogue.workings import ripple_waves
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
 from comparisons.missing_effect.fit import Fit
@@ -332,9 +332,7 @@ class _Rivals:
             if effect.episodes:
                 gate = float(fit.values_of(effect)[1])
                 size = float(np.sqrt(2.0 * np.mean(groups[effect.name] ** 2)))
-                phase = rng.uniform(0.0, 2.0 * np.pi, len(stall_episodes(data, gate)))
-                waves = np.column_stack([np.cos(phase), np.sin(phase)])
-                groups[effect.name] = size * waves.ravel()
+                groups[effect.name] = ripple_waves(data, gate, size, rng)
         return Fit.assembled(fit.structure, data, fit.nonlinear, groups).output(data)
 
 

@@ -14,8 +14,6 @@ from surge_core.types import BoolArray, FloatArray
 # use 86 % of the rows and leak as 1/f⁴, so that a slow drift stays in its band.
 TAPERS = 3
 FEWEST_ROWS = 10
-# Zeros after short runs may take so many times the memory of the rows.
-MOST_PADDING = 8
 BANDS = 24
 QUIET_QUANTILE_Z, QUIET_SHARE = -0.6745, 0.25
 # The floor's power is itself an estimate, and so is the shape of an autoregression's spectrum.
@@ -69,7 +67,8 @@ def tapered_power(
 
     Rows that are not scored are joined by straight lines (``bridged``), or left out.
     """
-    pieces, size = _pieces(runs, scored)
+    pieces = [run for run in runs if np.count_nonzero(scored[run]) >= FEWEST_ROWS] or runs[:1]
+    size = 1 << max(max(run.stop - run.start for run in pieces) - 1, 1).bit_length()
     level = float(np.mean(values[scored]))
     total, weight = np.zeros(size // 2 + 1), 0.0
     squares = products = 0.0
@@ -199,20 +198,3 @@ def _neighbourhood(power: FloatArray, bins: int, freedom: float, background: flo
         [float(np.median(power[part])) for part in parts],
     )
     return np.maximum(level / power_bound(0.0, freedom, known=True), background)
-
-
-def _pieces(runs: tuple[slice, ...], scored: BoolArray) -> tuple[list[slice], int]:
-    """Return runs cut so that zeros after the short ones do not outgrow the data."""
-    lengths = [run.stop - run.start for run in runs]
-    size = 1 << max(max(lengths) - 1, 1).bit_length()
-    while True:
-        pieces = [
-            slice(start, min(start + size, run.stop))
-            for run in runs
-            for start in range(run.start, run.stop, size)
-        ]
-        if len(pieces) * size <= MOST_PADDING * sum(lengths) or size <= 2 * FEWEST_ROWS:
-            break
-        size //= 2
-    known = [piece for piece in pieces if np.count_nonzero(scored[piece]) >= FEWEST_ROWS]
-    return known or pieces[:1], size

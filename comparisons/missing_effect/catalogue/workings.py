@@ -280,6 +280,14 @@ def stall_episodes(data: LagData, gate: float) -> list[slice]:
     return [piece for piece in pieces if piece.stop - piece.start >= SHORTEST_EPISODE]
 
 
+def ripple_waves(
+    data: LagData, gate: float, amplitude: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return the coefficients of a ripple whose phase is another in each episode."""
+    phase = rng.uniform(0.0, 2.0 * np.pi, len(stall_episodes(data, gate)))
+    return np.asarray(amplitude * np.column_stack([np.cos(phase), np.sin(phase)]).ravel())
+
+
 def _ripple_grid(data: LagData) -> FloatArray:
     """Return the gates; the frequency is found from the spectrum of the residual."""
     if "in_stall" in data or "stalled" in data:
