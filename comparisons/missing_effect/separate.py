@@ -364,7 +364,9 @@ def changed(data: LagData, change: Change) -> LagData:
         part=np.full(made["weight"].size, TRAIN, dtype=np.int8),
         record=np.repeat(data.record[data.runs[:, 0]], np.diff(made["runs"])[:, 0]),
     )
-    return _with_own_references(out)
+    # τ at another amplitude or a curve at another speed is the same model in other numbers: of the
+    # references the range of φ alone is the experiment's own.
+    return out.over_all_phi()
 
 
 def _changed_run(data: LagData, index: int, change: Change, mean: float, span: float) -> Run:
@@ -426,20 +428,3 @@ def _channel(values: FloatArray, at: FloatArray) -> FloatArray:
     trend = np.polynomial.Polynomial.fit(rows, values, 1)
     left = values - trend(rows)
     return np.asarray(trend(np.arange(at.size, dtype=np.float64)) + _between(left, at))
-
-
-def _with_own_references(data: LagData) -> LagData:
-    """Measure effects from what the experiment itself would show."""
-
-    def mean(name: str, known: float) -> float:
-        return float(np.mean(data.sampled(data[name])[data.scored()])) if name in data else known
-
-    data = data.over_all_phi()
-    before = data.references
-    own = replace(
-        before,
-        mean_amplitude=mean("amplitude", before.mean_amplitude),
-        mean_amplitude_as_is=mean("amplitude_as_is", before.mean_amplitude_as_is),
-        mean_speed=mean("Nc_frac", before.mean_speed),
-    )
-    return replace(data, references=own)
