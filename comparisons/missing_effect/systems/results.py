@@ -27,7 +27,6 @@ from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
 from surge_core.rounding import bracketed
-from surge_core.types import FloatArray
 
 # Where an effect names the signal that it acts on.
 SIGNAL_KEYS = ("signal", "input", "sensor", "state")
@@ -95,10 +94,7 @@ class SystemDiagnosis(Diagnosis):
             return ()
         share = run.before_rms / run.swing
         order = np.argsort(-np.where(np.isfinite(share), share, np.inf), kind="stable")
-        residuals = (
-            residuals_of(run, self.missing, output=list(run.outputs)[j], model=self.model)
-            for j in order
-        )
+        residuals = (residuals_of(run, j, self.missing, self.model) for j in order.tolist())
         return tuple(where_of(one) for one in residuals if one.enough)
 
     def own_document(self) -> dict[str, Any]:
@@ -162,7 +158,7 @@ class SystemDiagnosis(Diagnosis):
             "pair" if len(c.added) > 1 else "unnamed_term" if c.unnamed else "name",
             self._fate(step, c),
             bool(c.accepted),
-            beside and any(c is other for other in step.aliases),
+            beside and c in step.aliases,
             score=float(e.score),
             train_gain=float(e.train),
             later_gain=float(e.later),
@@ -175,7 +171,7 @@ class SystemDiagnosis(Diagnosis):
         if c is step.winner:
             added = {effect.key for effect in self.after.structure.effects}
             return "added" if c.added[0].key in added else "too little"
-        if any(c is other for other in step.aliases):
+        if c in step.aliases:
             return "alias"
         if not c.fitted:
             return "not fitted"
@@ -183,31 +179,29 @@ class SystemDiagnosis(Diagnosis):
 
 
 def residuals_of(
-    check: CheckRun,
-    effects: Sequence[MissingEffect] = (),
-    *,
-    output: str | None = None,
-    model: Model | None = None,
+    check: CheckRun, column: int, effects: Sequence[MissingEffect], model: Model
 ) -> Residuals:
     """Return the residuals of one output of a run, to be looked at over a signal.
 
-    Of the effects that were added, the signal of the first whose signal is measured is looked at.
-    The model knows units, and which states are measured under another name.
+    Of the effects that were added, the signal of the first whose signal is measured is looked at,
+    of none the output itself as it was simulated.
     """
-    chosen = output or next(iter(check.outputs))
-    column, scored = list(check.outputs).index(chosen), slice(check.settle, None)
-    measured = check.measured[scored, column]
-    signal, values = _signal(check, effects, chosen, model)
-    own = signal == chosen
-    units = {**({} if model is None else model.inputs), **check.outputs}
+    output, scored = list(check.outputs)[column], slice(check.settle, None)
+    signal = _signal(check, effects, model) or output
+    measured, before, after = (
+        values[scored, column] for values in (check.measured, check.before, check.after)
+    )
+    own = signal == output
+    simulated = after if np.all(np.isfinite(check.after[:, column])) else before
+    units = {**model.inputs, **check.outputs}
     return Residuals(
-        chosen,
-        units.get(chosen, "1"),
+        output,
+        units[output],
         check.time_s[scored],
         measured,
-        check.before[scored, column],
-        check.after[scored, column],
-        (_simulated(check, column) if own else values)[scored],
+        before,
+        after,
+        simulated if own else check.signals[signal][scored],
         signal,
         units.get(signal, "1"),
         (slice(0, measured.size),),
@@ -218,24 +212,13 @@ def residuals_of(
     )
 
 
-def _signal(
-    check: CheckRun, effects: Sequence[MissingEffect], output: str, model: Model | None
-) -> tuple[str, FloatArray]:
-    """Return the signal of an effect as far as it is measured; the output where none is."""
-    channels = check.signals
-    also = {} if model is None else {model.state_names[i]: n for i, n in measured_as(model).items()}
-    # A state may share its name with an output that is something else.
-    states = () if model is None else model.states
+def _signal(check: CheckRun, effects: Sequence[MissingEffect], model: Model) -> str:
+    """Return the signal of an effect as far as it is measured; an empty text where none is."""
+    also = {model.state_names[i]: name for i, name in measured_as(model).items()}
     for effect in effects:
         name = next((effect.place[key] for key in SIGNAL_KEYS if key in effect.place), "")
-        channel = also.get(name, "" if name in states else name)
-        if channel in channels:
-            return channel, channels[channel]
-    return output, channels[output]
-
-
-def _simulated(check: CheckRun, column: int) -> FloatArray:
-    for run in (check.after, check.before):
-        if np.all(np.isfinite(run[:, column])):
-            return np.asarray(run[:, column])
-    return np.asarray(check.measured[:, column])
+        # A state may share its name with an output that is something else.
+        channel = also.get(name, "" if name in model.states else name)
+        if channel in check.signals:
+            return channel
+    return ""

@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import system_models as make
 from made_systems import made_diagnosis
 
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.systems.results import residuals_of
 from comparisons.missing_effect.where import where_of
+from comparisons.missing_effect.where_rows import Residuals
 from surge_core.files import to_strict_json
 from surge_core.types import FloatArray
 
@@ -40,6 +42,16 @@ def parted(planted: FloatArray, noise: FloatArray, *, settle: int = 0) -> CheckR
     )
 
 
+def made_effect(signal: str):  # type: ignore[no-untyped-def]
+    return replace(made_diagnosis().missing[0], place={"equation": "dv/dt", "signal": signal})
+
+
+def residuals(check: CheckRun, *signals: str) -> Residuals:
+    """What is looked at where effects on these signals were added."""
+    added = [made_effect(signal) for signal in signals]
+    return residuals_of(check, 0, added, make.circuit())
+
+
 def white(seed: int, size: float = 0.02) -> FloatArray:
     return size * np.random.default_rng(seed).standard_normal(N)
 
@@ -47,7 +59,7 @@ def white(seed: int, size: float = 0.02) -> FloatArray:
 @pytest.mark.parametrize("frequency_hz", [0.9, 7.3, 31.0])
 def test_a_sine_shows_in_its_band_with_its_power(frequency_hz: float) -> None:
     sine = 0.3 * np.sin(2.0 * np.pi * frequency_hz * PERIOD_S * np.arange(N))
-    where = where_of(residuals_of(parted(sine, white(1))))
+    where = where_of(residuals(parted(sine, white(1))))
     power = [(row.high_hz - row.low_hz) * row.before_psd for row in where.frequency]
     top = where.frequency[int(np.argmax(power))]
     assert top.low_hz - 0.1 < frequency_hz < top.high_hz + 0.1
@@ -64,9 +76,9 @@ def test_a_quadratic_shows_over_the_signal_and_is_gone_after() -> None:
         # The system has it; the model after has it as well.
         check = parted(0.1 * CLEAN**2, white(seed))
         check = replace(check, signals={**check.signals, "y": CLEAN})
-        where = where_of(residuals_of(check, output="y"))
+        where = where_of(residuals(check))
         assert where.of.simulated
-        over_u = where_of(residuals_of(check, (_effect_on("u"),), output="y"))
+        over_u = where_of(residuals(check, "u"))
         assert over_u.of.signal == "u"
         assert not over_u.of.simulated
         for row in where.flow:
@@ -84,7 +96,7 @@ def test_noise_alone_gives_no_slope_over_the_own_output() -> None:
     z = []
     for seed in range(20):
         check = parted(np.zeros(N), white(seed, 1.0))
-        where = where_of(residuals_of(check))
+        where = where_of(residuals(check))
         z += [row.before["any"].mean / row.before["any"].stderr for row in where.flow]
         residual = (check.measured - check.before)[:, 0]
         # Over the measured output the same residual has a slope that is anything but chance.
@@ -99,7 +111,7 @@ def test_the_standard_error_knows_that_neighbours_go_together() -> None:
     z, naive = [], []
     for seed in range(20):
         slow = lfilter([1.0], [1.0, -0.9], white(seed))
-        where = where_of(residuals_of(parted(np.zeros(N), slow)))
+        where = where_of(residuals(parted(np.zeros(N), slow)))
         z += [row.after["any"].mean / row.after["any"].stderr for row in where.flow]
         cells = [row.after["any"] for row in where.flow]
         naive += [cell.mean / (np.std(slow) / math.sqrt(cell.n)) for cell in cells]
@@ -109,7 +121,7 @@ def test_the_standard_error_knows_that_neighbours_go_together() -> None:
 
 def test_a_friction_parts_the_two_ways() -> None:
     friction = 0.2 * np.sign(np.gradient(CLEAN))
-    where = where_of(residuals_of(parted(friction, white(5)), (_effect_on("none"),)))
+    where = where_of(residuals(parted(friction, white(5)), "none"))
     inner = where.flow[4:-4]
     for way, size in (("rising", 0.2), ("falling", -0.2)):
         found = [row.before[way].mean for row in inner]
@@ -118,7 +130,7 @@ def test_a_friction_parts_the_two_ways() -> None:
 
 
 def test_ranges_lie_on_both_sides_and_hold_every_row() -> None:
-    rows = where_of(residuals_of(parted(white(6), white(7), settle=100))).flow
+    rows = where_of(residuals(parted(white(6), white(7), settle=100))).flow
     assert 15 <= len(rows) <= 20
     assert rows[0].high < 0.0 < rows[-1].low
     assert sum(row.after["any"].n for row in rows) == N - 100
@@ -129,7 +141,7 @@ def test_ranges_lie_on_both_sides_and_hold_every_row() -> None:
 def test_a_burst_shows_in_its_blocks_alone() -> None:
     burst = np.zeros(N)
     burst[3000:3400] = 0.5
-    where = where_of(residuals_of(parted(burst, white(8), settle=40)))
+    where = where_of(residuals(parted(burst, white(8), settle=40)))
     loud = [row for row in where.time if row.before_rms > 0.1]
     assert loud[0].from_s < 130.0 < loud[0].to_s
     assert loud[-1].from_s < 134.0 < loud[-1].to_s
@@ -139,17 +151,13 @@ def test_a_burst_shows_in_its_blocks_alone() -> None:
     assert where.time[-1].to_s == pytest.approx(180.0)
 
 
-def _effect_on(signal: str):  # type: ignore[no-untyped-def]
-    return replace(made_diagnosis().missing[0], place={"equation": "dv/dt", "signal": signal})
-
-
 def test_rows_without_a_reading_are_left_out() -> None:
     """Every third row is read, and an outage fills a block of time."""
     quadratic = parted(0.1 * CLEAN**2, white(11))
     measured = quadratic.measured.copy()
     measured[np.arange(N) % 3 != 0] = np.nan
     measured[2000:2400] = np.nan
-    where = where_of(residuals_of(replace(quadratic, measured=measured)))
+    where = where_of(residuals(replace(quadratic, measured=measured)))
     assert sum(math.isnan(row.before_rms) for row in where.time) == 2
     assert sum(row.after["any"].n for row in where.flow) == np.count_nonzero(np.isfinite(measured))
     assert all(math.isfinite(row.before_psd) for row in where.frequency)
