@@ -125,8 +125,8 @@ def main() -> None:
         begun, at = time.process_time(), args.folder / name
         d = diagnose_model(
             model,
-            [read_experiment(at / f"{n}.csv") for n in fit],
-            [read_experiment(at / f"{n}.csv") for n in check],
+            [read_experiment(at / f"{n}.csv", model) for n in fit],
+            [read_experiment(at / f"{n}.csv", model) for n in check],
         )
         print(f"{name}: {d.verdict}, {time.process_time() - begun:.0f} s of processor time")
         for item in d.missing:
