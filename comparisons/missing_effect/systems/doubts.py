@@ -110,7 +110,7 @@ def leftover_of(
     rng = np.random.default_rng(0)
     placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
     metric = metric_of(bench.fit.errors)
-    answers = Prober(bench.fit, bench.train).laid(placed, metric)
+    answers = Prober(bench.fit, bench.train, placed).in_metric(metric)
     best = answers.best()
     by_chance = answers.flipped(rng)
     gain = best[0].gain if best else 0.0

@@ -82,11 +82,8 @@ class Experiment:
     def require(self, good: bool, what: str, expected: str, found: str, remedy: str = "") -> None:
         """Refuse the run, by its file or name and what in it, unless something is good."""
         if not good:
-            raise InputError(self.named(what), expected=expected, found=found, remedy=remedy)
-
-    def named(self, what: str) -> str:
-        """Return a place for a message: file or name of the run, and what in it."""
-        return f"{self.origin or self.name}: {what}"
+            at = f"{self.origin or self.name}: {what}"
+            raise InputError(at, expected=expected, found=found, remedy=remedy)
 
     @property
     def n_samples(self) -> int:

@@ -23,8 +23,6 @@ from surge_core.types import FloatArray, IntArray
 RELATIVE_STEP = 1e-6
 # Sizes that matrices are scaled to before their exponential, and beyond which there is none.
 SCALED, RAN_AWAY = 0.25, 1e12
-# Of the coefficients of the recording filter.
-FILTER_STEP = 1e-4
 # Amplitude at which an effect that is linear in it, but no term, is laid along the run.
 SMALL = 1e-4
 # Steps of differences of a black box over those of a model that is integrated here: what runs
@@ -96,23 +94,21 @@ class Linearised:
 
         Of shape (n, n_y, m + n_X), and not a number where the run has no reading.
         """
-        steps, at = self.structure.steps(self.theta)[which], self.structure.recording
+        steps = self.structure.steps(self.theta)[which]
         if self.transitions is None:
             return self._read(self._differences(which, steps))
         (rows, n_X), m = self.path.states.shape, which.size
         forcing = np.zeros((rows, n_X, m + n_X))
         direct = np.zeros((*self.run.outputs.shape, m + n_X))
         for c, (number, step) in enumerate(zip(which, steps, strict=True)):
-            filters = at is not None and at <= number <= at + 1
-            by = FILTER_STEP if filters else step
             sides = []
-            for side in (by, -by):
+            for side in (step, -step):
                 theta = self.theta.copy()
                 theta[number] += side
-                system = self.run.system(self.structure, theta) if filters else self.system
-                slopes, seen = along(self.path.states, NONE, (theta, *system[1:]), FINE)
+                system = self.run.system(self.structure, theta)
+                slopes, seen = along(self.path.states, NONE, system, FINE)
                 sides.append((slopes, self.structure.recorded(seen, theta)))
-            forcing[:, :, c], direct[:, :, c] = _difference(sides, np.full(rows, by))
+            forcing[:, :, c], direct[:, :, c] = _difference(sides, np.full(rows, step))
         return self._carried(forcing, np.hstack([np.zeros((n_X, m)), np.eye(n_X)]), direct)
 
     @QUIET

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from comparisons.missing_effect.covariance import orthonormal
 from comparisons.missing_effect.systems.fit import Fit
-from comparisons.missing_effect.systems.linearised import Laid
 from comparisons.missing_effect.systems.metric import Metric, correlations
 from comparisons.missing_effect.systems.places import AT_OUTPUTS, Place, Placed, SystemEffect, rms
 from comparisons.missing_effect.systems.shapes import Kind
@@ -147,37 +146,30 @@ class Answers:
 
 
 class Prober:
-    """Score tests against a model, fitted to runs."""
+    """Score tests of effects against a model, fitted to runs; laid once for all metrics."""
 
-    def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
+    def __init__(self, fit: Fit, runs: Sequence[Run], effects: Sequence[Placed]) -> None:
         self.fit, self.runs = fit, tuple(runs)
-        self._made: dict[object, list[FloatArray]] = {}
-        self._along = fit.linearised(self.runs)
-        free = fit.structure.free
+        along, free = fit.linearised(self.runs), fit.structure.free
         unknowns = free.size + len(fit.structure.model.states)
-        self._nuisance = [one.to_numbers(free)[:, :, :unknowns] for one in self._along]
+        self._nuisance = [one.to_numbers(free)[:, :, :unknowns] for one in along]
+        self._laid = [(placed, start) for placed in effects for start in placed.starts]
+        self._columns: list[list[FloatArray]] = []
+        for first in range(0, len(self._laid), LAID_TOGETHER):
+            some = self._laid[first : first + LAID_TOGETHER]
+            each = [one.to_effects(some) for one in along]
+            self._columns += [[columns[:, :, c] for columns in each] for c in range(len(some))]
 
-    def _lay(self, laid: Sequence[Laid]) -> None:
-        """Make the columns that are not there yet, some at a time, once for all metrics."""
-        new = [(placed, start) for placed, start in laid if (placed.key, start) not in self._made]
-        for first in range(0, len(new), LAID_TOGETHER):
-            some = new[first : first + LAID_TOGETHER]
-            each = [one.to_effects(some) for one in self._along]
-            for c, (placed, start) in enumerate(some):
-                self._made[placed.key, start] = [columns[:, :, c] for columns in each]
-
-    def laid(self, effects: Sequence[Placed], metric: Metric) -> Answers:
-        """Return the first-order answers to effects in a metric."""
+    def in_metric(self, metric: Metric) -> Answers:
+        """Return the first-order answers to the effects in a metric."""
         own = metric.with_size_of(self.fit.errors)
         error = _joined([own.whitened(e) for e in self.fit.errors])
         basis = self._basis(own)
         error = error - basis @ (basis.T @ error)
         probes, columns = [], []
-        laid = [(placed, start) for placed in effects for start in placed.starts]
-        self._lay(laid)
-        for placed, start in laid:
+        for (placed, start), runs in zip(self._laid, self._columns, strict=True):
             with np.errstate(invalid="ignore"):
-                column = _joined([own.whitened(c) for c in self._made[placed.key, start]])
+                column = _joined([own.whitened(c) for c in runs])
             if not np.all(np.isfinite(column)):
                 continue
             whole = float(column @ column)

@@ -19,9 +19,9 @@ MOST_OFFSET = 1.0
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
 # off by 2e-4 of their swing.
 FIRST_TOLERANCE = 1e-5
-# Of differences: a share of a number's size, or of its range; and of a shift of a held input, which
-# within a sample does not change: it shows over half a sample.
-RELATIVE_STEP, HELD_STEP = 1e-5, 0.5
+# Of differences: a share of a number's size, or of its range; of a shift of a held input, which
+# within a sample does not change: it shows over half a sample; of the recording filter.
+RELATIVE_STEP, HELD_STEP, FILTER_STEP = 1e-5, 0.5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,11 @@ class Structure:
         steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
         if self.between == "held":
             steps[self.offsets] = HELD_STEP
-            for placed in self.effects:
-                if placed.effect.kind == Kind.INPUT_DELAY:
-                    steps[self.slots_of(placed)[0]] = HELD_STEP
+        for placed in self.effects:
+            if placed.effect.kind == Kind.INPUT_DELAY and self.between == "held":
+                steps[self.slots_of(placed)[0]] = HELD_STEP
+            elif placed.effect.kind == Kind.RECORDING:
+                steps[self.slots_of(placed)[:2]] = FILTER_STEP
         return np.asarray(steps)
 
     @property

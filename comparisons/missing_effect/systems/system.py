@@ -103,11 +103,11 @@ class ModelSystem(Bench, System[Placed, Fit]):
         """Race what is promising, and fit in the metric of whom the held-out rows favour."""
         fit = self.fit
         placed, refused = placed_effects(fit, self.train, [*effects, *library])
-        prober = Prober(fit, self.train)
-        raw, white = prober.laid(placed, self.raw), prober.laid(placed, metric_of(fit.errors))
+        prober = Prober(fit, self.train, placed)
+        raw, white = prober.in_metric(self.raw), prober.in_metric(metric_of(fit.errors))
         fits = raced(self, promising(raw, white))
         metric, rng = favoured_metric(self, list(fits.values())), np.random.default_rng(FLIP_SEED)
-        chances = prober.laid(placed, metric).chance(rng), raw.chance(rng)
+        chances = prober.in_metric(metric).chance(rng), raw.chance(rng)
         tried = [
             Candidate(p.added, self.whitened(first, metric), promised=p.gain, onward=first)
             for p, first in fits.items()

@@ -45,7 +45,7 @@ def bare_fit(model: Model, run: Run, theta: list[float] | None = None) -> Fit:
 
 def probed(fit: Fit, run: Run, effects: object) -> list[Probe]:
     placed, _ = placed_effects(fit, [run], list(effects))  # type: ignore[call-overload]
-    return Prober(fit, [run]).laid(placed, raw_metric([run.outputs])).best()
+    return Prober(fit, [run], placed).in_metric(raw_metric([run.outputs])).best()
 
 
 def fitted_with(fit: Fit, run: Run, effect: Placed, slots: tuple[float, ...]) -> Fit:

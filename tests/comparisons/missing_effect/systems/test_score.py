@@ -39,7 +39,7 @@ def with_outputs(run: Run, outputs: np.ndarray, seed: int) -> Run:
 def placed_on(structure: Structure, run: Run) -> tuple[Fit, list[Probe]]:
     fit = make.fitted(structure, [run], PARAMETERS)
     effects, _ = placed_effects(fit, [run], [*SYSTEM_CATALOGUE, *OPEN_TERMS])
-    return fit, Prober(fit, [run]).laid(effects, raw_metric([run.outputs])).best()
+    return fit, Prober(fit, [run], effects).in_metric(raw_metric([run.outputs])).best()
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +97,9 @@ def test_the_gain_of_a_small_effect_is_what_a_fit_wins(
         mine = nearly_largest(found, known.placed, 0.9)
         assert mine.amplitude == pytest.approx(amount, rel=0.25)
         # The shape is held where the search starts it, so that one number is won.
-        numbers = tuple(
-            replace(n, held=slot > 0) for slot, n in enumerate(mine.placed.effect.numbers)
-        )
+        first, *shape = mine.placed.effect.numbers
+        held = zip(shape, mine.start[1:], strict=True)
+        numbers = (first, *(replace(n, low=value, high=value) for n, value in held))
         one = replace(mine.placed, effect=replace(mine.placed.effect, numbers=numbers))
         bigger = fit.structure.with_effect(one)
         begun = np.concatenate([fit.theta, bigger.slots((0.0, *mine.start[1:]))])
@@ -161,6 +161,6 @@ def test_what_is_fitted_already_promises_nothing(
     complete = make.fitted(extended, [made], np.concatenate([PARAMETERS, [-0.05, 0, 0, 0]]))
     effects, _ = placed_effects(complete, [made], SYSTEM_CATALOGUE)
     assert cubic.placed.key not in {e.key for e in effects}
-    left = Prober(complete, [made]).laid(effects, raw_metric([made.outputs])).best()
+    left = Prober(complete, [made], effects).in_metric(raw_metric([made.outputs])).best()
     assert left[0].gain < 12.0 < others[0].gain
     assert fit.cost > complete.cost
