@@ -8,29 +8,24 @@ method tries.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba import carray, cfunc, types  # type: ignore[attr-defined]
 
-from comparisons.missing_effect.kernels import lag_pass
-from comparisons.missing_effect.systems.dynamics import (
-    PLAY_SAMPLES,
-    System,
-    along,
-    extended,
-    scratch_for,
-)
-from comparisons.missing_effect.systems.places import AT_INPUTS, Placed
+from comparisons.missing_effect.systems.dynamics import System, along, extended, scratch_for
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import AT_INPUTS, AT_OUTPUTS, Placed, rms
 from comparisons.missing_effect.systems.pointers import NUMBERS
-from comparisons.missing_effect.systems.shapes import Kind, map_value
-from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.structure import Run, Structure, laid
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-# Points a sample on which a run is kept, and at which a lag or a play around a black box follows
-# its signal.
+# Points a sample on which a run is kept.
 FINE = 4
 RUNAWAY = 1e4
 # Beyond it a square is no number any more.
@@ -44,8 +39,6 @@ MOST_STEPS = 50
 MOST_MEGABYTES = 4000
 # Parts of what the integrator hands on.
 PARTS = 7
-# Of a lag, in points of the fine grid.
-LEAST_LAG = 1e-3
 # What a black box that fails for some parameters may raise.
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
@@ -205,36 +198,68 @@ def _black_box_outputs(
     structure: Structure, run: Run, theta: FloatArray, start: FloatArray
 ) -> FloatArray:
     """Return the outputs of a black box, not a number where it failed, from its record's start."""
-    from scipy.interpolate import CubicSpline
-
-    effects = [(placed, theta[structure.slots_of(placed)]) for placed in structure.effects]
-    inputs = _inputs(structure, run, theta, effects)
+    model, effects = structure.model, structure.effects
+    slots = {placed: theta[structure.slots_of(placed)] for placed in effects}
+    at_inputs = {p: slots[p] for p in effects if p.effect.kind in AT_INPUTS}
+    given = replace(run, pieces=run.pieces_for(structure, theta))
+    late = theta[structure.offsets]
+    inputs = _behind(model.input_names, given, structure, late, at_inputs).T
     drifts = [
-        (placed.place.at, float(slots[0]) * placed.scales[0])
-        for placed, slots in effects
-        if placed.effect.kind == Kind.DRIFT and slots[0] != 0.0
+        (placed.place.at, float(own[0]) * placed.scales[0])
+        for placed, own in slots.items()
+        if placed.effect.kind == Kind.DRIFT and own[0] != 0.0
     ]
     t = run.sample_period_s * np.arange(run.n_samples, dtype=np.float64)
     # A drift is slow: at each time the outputs are those of a run with the parameters as they are
     # then, between three runs.
     outputs, nodes = np.zeros(run.outputs.shape), (-1.0, 0.0, 1.0) if drifts else (0.0,)
-    along = (t + run.clock[0] - run.clock[2]) / run.clock[3]
+    along_span = (t + run.clock[0] - run.clock[2]) / run.clock[3]
     for node in nodes:
-        p = theta[: len(structure.model.params)].copy()
+        p = theta[: len(model.params)].copy()
         for at, rate in drifts:
             p[at] += rate * node
-        between = ((along - other) / (node - other) for other in nodes if other != node)
+        between = ((along_span - other) / (node - other) for other in nodes if other != node)
         share = math.prod(between, start=np.ones(t.size))
         outputs += share[:, None] * _simulated(structure, t, inputs, p, start)
-    rows = np.arange(t.size, dtype=np.float64)
-    for placed, slots in effects:
-        j = placed.place.at
-        if placed.effect.kind == Kind.OUTPUT_MAP:
-            outputs[:, j] = _behind(placed, slots, outputs[:, j])
-        elif placed.effect.kind == Kind.OUTPUT_LAG and np.all(np.isfinite(outputs)):
-            finer = CubicSpline(rows, outputs[:, j])(np.arange(FINE * (t.size - 1) + 1) / FINE)
-            outputs[:, j] = _behind(placed, slots, finer)[::FINE]
-    return outputs
+    at_outputs = {p: slots[p] for p in effects if p.effect.kind in AT_OUTPUTS}
+    if not at_outputs or not np.all(np.isfinite(outputs)):
+        return outputs
+    read = replace(run, outputs=outputs, pieces=laid(outputs, "cubic"))
+    cubic = replace(structure, between="cubic")
+    return _behind(model.output_names, read, cubic, np.zeros(len(model.outputs)), at_outputs)
+
+
+@lru_cache(maxsize=16)
+def _wire(names: tuple[str, ...]) -> Model:
+    """Return a model that gives its inputs, around which effects act as they do around any."""
+    return Model(
+        {"at_rest": "1"},
+        dict.fromkeys(names, "1"),
+        {f"seen_{name}": "1" for name in names},
+        {},
+        lambda t, x, u, p: 0.0,
+        lambda t, x, u, p: tuple(u),
+    )
+
+
+def _behind(
+    names: tuple[str, ...],
+    run: Run,
+    like: Structure,
+    late: FloatArray,
+    effects: Mapping[Placed, FloatArray],
+) -> FloatArray:
+    """Return the channels of a run, as inputs late by so many samples, behind effects there."""
+    if not names:
+        return np.zeros((run.n_samples, 0))
+    structure = replace(like, model=_wire(names), effects=tuple(effects))
+    theta = np.concatenate([late, *effects.values()])
+    start = own_starts(structure, run, np.zeros(1))
+    if start.size > 1:
+        scale = np.full(start.size, rms(run.pieces[:, :, 0]))
+        return path_of(structure, run, theta, start, scale).outputs
+    still = np.zeros((run.n_samples, 1))
+    return along(still, np.zeros(0), run.system(structure, theta), 1)[1]
 
 
 def _simulated(
@@ -244,6 +269,8 @@ def _simulated(
     assert model.simulate is not None
     _, u, params = model.groups(tuple(start), tuple(inputs), tuple(p))
     shape = (t.size, len(model.outputs))
+    if not np.all(np.isfinite(inputs)):
+        return np.full(shape, np.nan)
     try:
         found: Any = model.simulate(t, u, params)
     except FAILURES:
@@ -260,64 +287,3 @@ def _simulated(
             found=f"shape {values.shape}",
         )
     return values
-
-
-def _inputs(
-    structure: Structure,
-    run: Run,
-    theta: FloatArray,
-    effects: list[tuple[Placed, FloatArray]],
-) -> FloatArray:
-    """Return the inputs at the samples as the system sees them, shape (n_u, n)."""
-    pieces = run.pieces_for(structure, theta)
-    times = np.arange(FINE * (run.n_samples - 1) + 1) / FINE
-    out = np.empty((len(structure.model.inputs), times.size))
-    per_sample = 4 if structure.between == "band" else 1
-    for j in range(out.shape[0]):
-        own = [
-            (placed, slots)
-            for placed, slots in effects
-            if placed.effect.kind in AT_INPUTS and placed.place.at == j
-        ]
-        late = float(theta[structure.offsets][j]) + sum(
-            float(slots[0]) for placed, slots in own if placed.effect.kind == Kind.INPUT_DELAY
-        )
-        at = (times - late) * per_sample
-        i = np.clip(np.floor(at).astype(np.int64), 0, pieces.shape[1] - 1)
-        s = np.clip(at - i, 0.0, 1.0)
-        c = pieces[j, i].T
-        out[j] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-        for placed, slots in own:
-            out[j] = _behind(placed, slots, out[j])
-    return out[:, ::FINE]
-
-
-def _behind(placed: Placed, slots: FloatArray, values: FloatArray) -> FloatArray:
-    """Return what goes through an effect at a channel; lags and plays are on the fine grid."""
-    kind, own, a = placed.effect.kind, placed.scales[1], float(slots[0])
-    if kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP):
-        return _mapped(placed.effect.code, values, own, a)
-    if kind in (Kind.INPUT_LAG, Kind.OUTPUT_LAG):
-        every = np.array([[0, values.size]])
-        return lag_pass(values[:, None], max(FINE * a, LEAST_LAG), 1.0, every)[:, 0]
-    return _followed(values, a * own) if kind == Kind.INPUT_PLAY else values
-
-
-@njit(cache=True, error_model="numpy")
-def _mapped(code: Any, values: FloatArray, own: float, a: float) -> FloatArray:
-    out = np.empty(values.size)
-    for k in range(values.size):
-        out[k] = map_value(code, values[k], own, a)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _followed(values: FloatArray, gap: float) -> FloatArray:
-    """Return what follows a drive through a play ± gap, as fast as it does in equations."""
-    out, now = np.empty(values.size), values[0]
-    share = 1.0 - np.exp(-1.0 / (FINE * PLAY_SAMPLES))
-    for k in range(values.size):
-        off = 0.5 * (values[max(k - 1, 0)] + values[k]) - now
-        now += share * (max(off - gap, 0.0) + min(off + gap, 0.0))
-        out[k] = now
-    return out

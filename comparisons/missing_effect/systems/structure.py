@@ -193,7 +193,7 @@ class Run:
         x0: tuple[FloatArray, FloatArray],
     ) -> Run:
         """Return a run with its inputs laid between samples."""
-        pieces = _laid(experiment.columns(model.input_names), between)
+        pieces = laid(experiment.columns(model.input_names), between)
         middle, half = 0.5 * (span[0] + span[1]), max(0.5 * (span[1] - span[0]), 1e-12)
         clock = np.array([experiment.first_s, experiment.sample_period_s, middle, half])
         outputs = np.ascontiguousarray(experiment.columns(model.output_names))
@@ -206,7 +206,7 @@ class Run:
             return self.pieces
         inputs = self.experiment.columns(structure.model.input_names)
         true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
-        return _laid(true, structure.between)
+        return laid(true, structure.between)
 
     def system(self, structure: Structure, theta: FloatArray) -> System:
         """Return what kernels take of a structure with its θ on this run."""
@@ -229,7 +229,7 @@ class Run:
         return self.experiment.sample_period_s
 
 
-def _laid(inputs: FloatArray, between: str) -> FloatArray:
+def laid(inputs: FloatArray, between: str) -> FloatArray:
     """Return inputs, side by side, between their samples, shape (n_u, m, 4)."""
     made = [input_pieces(values, between) for values in inputs.T]
     return np.ascontiguousarray(np.stack(made)) if made else np.zeros((0, 1, 4))
