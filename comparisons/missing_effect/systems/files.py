@@ -55,7 +55,6 @@ def read_experiment(path: str | os.PathLike[str], model: Model) -> Experiment:
     """
     file = Path(path)
     expected = "a record ending in .csv, .mat, .npz or .nc"
-    _require_file(file, expected)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise InputError(str(file), expected=expected, found=f"the suffix '{file.suffix}'")
@@ -94,7 +93,6 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         When the file is missing, fails (with the line), or holds no model or several.
     """
     file = Path(path)
-    _require_file(file, "a Python file with a model")
     try:
         with _folder_on_path(file.parent):
             space = runpy.run_path(str(file), run_name="sindy_surge_model")
@@ -124,14 +122,6 @@ def load_model(path: str | os.PathLike[str]) -> Model:
 def _require(good: bool, where: str, expected: str, found: str, remedy: str = "") -> None:
     if not good:
         raise InputError(where, expected=expected, found=found, remedy=remedy)
-
-
-def _require_file(file: Path, expected: str) -> None:
-    """Refuse a folder, a file that is not there, and an empty one."""
-    found = "a folder" if file.is_dir() else "" if file.is_file() else "no such file"
-    if not found and file.stat().st_size == 0:
-        found = "an empty file"
-    _require(not found, str(file), expected, found)
 
 
 @contextmanager

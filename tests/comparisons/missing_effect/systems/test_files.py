@@ -144,7 +144,7 @@ def jitter() -> str:
 NUL = b"\x00\xff\xfe\x80" * 400
 
 BAD = {
-    "empty.csv": (lambda: "", "an empty file"),
+    "empty.csv": (lambda: "", "expected a table as UTF-8 text, found what cannot be read"),
     "binary.csv": (lambda: NUL, "bytes that are no text"),
     "short.csv": (lambda: text(good()[:39]), "rows: expected at least 40, found 39"),
     "nan_time.csv": (changed(70, "time_s", ""), "time_s: expected finite times, found nan in row"),
@@ -199,10 +199,14 @@ def test_a_bad_record_is_refused_in_one_sentence_that_names_it(
 
 
 def test_what_is_no_file_is_refused(tmp_path: Path, model_file: Path) -> None:
-    for path, words in ((tmp_path, "a folder"), (tmp_path / "no.csv", "no such file")):
-        with pytest.raises(InputError, match=words):
-            read_experiment(path, load_model(model_file))
-        with pytest.raises(InputError, match=words):
+    model = load_model(model_file)
+    for name in ("no.csv", "no.npz", "no.nc"):
+        with pytest.raises(InputError, match=r"[Nn]o such file"):
+            read_experiment(tmp_path / name, model)
+    with pytest.raises(InputError, match="expected a record ending in"):
+        read_experiment(tmp_path, model)
+    for path in (tmp_path, tmp_path / "no.py"):
+        with pytest.raises(InputError, match="expected Python that runs"):
             load_model(path)
 
 
