@@ -83,7 +83,7 @@ def numbers_of(
     """
     model = fit.structure.model
     at = int(fit.structure.slots_of(placed)[0])
-    out: list[tuple[str, float, float, str]] = []
+    out = []
     for slot, number in enumerate(placed.effect.numbers):
         if placed.held[slot] and not number.held:
             continue
@@ -93,11 +93,11 @@ def numbers_of(
         if placed.effect.kind == Kind.DRIFT:
             # Told as a share of the parameter as it is now, not as it was without the drift.
             factor *= placed.scales[0] / max(abs(float(fit.theta[placed.place.at])), 1e-300)
-        value, variance = float(fit.theta[at + slot]), float(cov[at + slot, at + slot])
-        out.append((number.name, factor * value, abs(factor) * float(np.sqrt(variance)), unit))
+        value, stderr = float(fit.theta[at + slot]), float(np.sqrt(cov[at + slot, at + slot]))
+        out.append(FittedParameter(number.name, factor * value, abs(factor) * stderr, unit))
     if placed.effect.linear and placed.effect.kind in ACTS_IN:
-        out = _balanced(fit, placed, cov, out, at)
-    return tuple(FittedParameter(n, float(v), float(e), u) for n, v, e, u in out)
+        out[0] = _balanced(fit, placed, cov, out[0], at)
+    return tuple(out)
 
 
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
@@ -107,27 +107,21 @@ def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
 
 
 def _balanced(
-    fit: Fit,
-    placed: Placed,
-    cov: FloatArray,
-    numbers: list[tuple[str, float, float, str]],
-    at: int,
-) -> list[tuple[str, float, float, str]]:
+    fit: Fit, placed: Placed, cov: FloatArray, number: FittedParameter, at: int
+) -> FittedParameter:
     """Tell an amplitude as a force where the user said which parameter multiplies dx/dt."""
     model = fit.structure.model
     name = model.state_names[placed.place.at]
     if name not in model.balance:
-        return numbers
+        return number
     parameter, unit = model.balance[name]
     i = model.param_names.index(parameter)
-    mass = fit.theta[i]
-    first, value, _, own = numbers[0]
-    amplitude = fit.theta[at]
+    mass, amplitude, value = float(fit.theta[i]), float(fit.theta[at]), number.value
     slope = np.array([value, value * mass / amplitude if amplitude else 0.0])
     variance = float(slope @ cov[np.ix_([i, at], [i, at])] @ slope)
+    whole = product_of_units((unit, 1), (number.unit, 1), (model.states[name], -1), ("s", 1))
     stderr = float(np.sqrt(max(variance, 0.0)))
-    whole = product_of_units((unit, 1), (own, 1), (model.states[name], -1), ("s", 1))
-    return [(first, value * mass, stderr, whole), *numbers[1:]]
+    return replace(number, value=value * mass, stderr=stderr, unit=whole)
 
 
 def _powers(placed: Placed, slot: int) -> dict[str, int]:

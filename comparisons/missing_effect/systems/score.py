@@ -128,13 +128,13 @@ class Answers:
             out.append(replace(one, gain=float(both[i, j]), second=two))
         return out
 
-    def chance(self, rng: np.random.Generator, share: float = CHANCE) -> float:
+    def chance(self, rng: np.random.Generator) -> float:
         """Return what the best of all columns wins by chance: signs of blocks of errors flipped.
 
         Flips leave each block its size and its colour; what is not tied to the inputs wins as much
         with them as without. A constant would be too low where errors are large in a few places.
         """
-        return float(np.quantile(self.flipped(rng), share)) if self.probes else 0.0
+        return float(np.quantile(self.flipped(rng), CHANCE)) if self.probes else 0.0
 
     def flipped(self, rng: np.random.Generator) -> FloatArray:
         """Return the largest first-order gain under each of many flips of sign."""
