@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import runpy
 from pathlib import Path
 
@@ -15,7 +14,9 @@ from comparisons.missing_effect import Experiment, Model, P, diagnose_model
 from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
-EXAMPLES = Path(__file__).parents[4] / "examples" / "measured"
+ROOT = Path(__file__).parents[4]
+EXAMPLES = ROOT / "examples" / "measured"
+SYSTEMS = runpy.run_path(str(ROOT / "benchmarks" / "measured_systems.py"))["SYSTEMS"]
 PERIOD_S = 0.1
 
 
@@ -116,23 +117,9 @@ def firm(found: SystemDiagnosis) -> list[str]:
 @needs_measured
 def test_the_tanks_overflow() -> None:
     """The upper tank spills into the lower one: first and firm, and no sensor is blamed."""
-    model = Model(
-        name="cascaded tanks",
-        states={"h1": "V", "h2": "V"},
-        inputs={"u": "V"},
-        outputs={"y": "V"},
-        params={
-            "kp": P(0.05, 0.001, 1.0, "1/s"),
-            "k1": P(0.05, 0.001, 1.0, "V^0.5/s"),
-            "k2": P(0.05, 0.001, 1.0, "V^0.5/s"),
-        },
-        rhs=lambda t, x, u, p: (
-            p.kp * u.u - p.k1 * math.sqrt(max(x.h1, 0.0)),
-            p.k1 * math.sqrt(max(x.h1, 0.0)) - p.k2 * math.sqrt(max(x.h2, 0.0)),
-        ),
-        output=lambda t, x, u, p: x.h2,
+    found = diagnose_model(
+        SYSTEMS["tanks"][0], measured("tanks", "train"), measured("tanks", "test")
     )
-    found = diagnose_model(model, measured("tanks", "train"), measured("tanks", "test"))
     assert firm(found)[0] == "overflow(h1) in h1 into h2"
     assert not [label for label in firm(found) if "of y" in label]
     assert found.checks[0].after_rms < 0.34
@@ -143,23 +130,11 @@ def test_the_tanks_overflow() -> None:
 @needs_measured
 def test_the_ball_on_its_beam_gets_no_name() -> None:
     """An integrating plant in 700 rows: nothing can be named, and the model stays as it was."""
-    model = Model(
-        name="ball and beam",
-        states={"q": "m", "v": "m/s"},
-        inputs={"beam": "rad"},
-        outputs={"ball": "m"},
-        params={
-            "g": P(5.0, -20.0, 20.0, "m/s^2"),
-            "level": P(0.0, -0.1, 0.1, "rad"),
-            "c": P(0.1, 0.0, 5.0, "1/s"),
-        },
-        rhs=lambda t, x, u, p: (x.v, p.g * (u.beam - p.level) - p.c * x.v),
-        output=lambda t, x, u, p: x.q,
-        exact=("q",),
+    model, train, test = (
+        SYSTEMS["ball_and_beam"][0],
+        *(measured("ball_and_beam", name) for name in ("train", "test")),
     )
-    found = diagnose_model(
-        model, measured("ball_and_beam", "train"), measured("ball_and_beam", "test")
-    )
+    found = diagnose_model(model, train, test)
     assert firm(found) == []
     assert found.verdict == "unexplained_structure"
     assert found.checks[0].after_rms <= 1.01 * found.checks[0].before_rms
