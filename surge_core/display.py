@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as of_field
 from html import escape
 from typing import Any
 
@@ -49,15 +51,21 @@ class Field:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table of a value."""
+    """A table of a value, in a terminal, a notebook or a page."""
 
     title: str  # What the rows are
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]  # The cells; the first of each row names it
+    # The cells; the first of each row names it. Behind a line break a page sets small print.
+    rows: tuple[tuple[str, ...], ...]
     words: frozenset[int] = frozenset({0})  # Columns of words; all others are numbers
-    marked: int | None = None  # Index of the row to look at first
+    marks: tuple[str, ...] = ()  # Of each row: "best" (to look at first), "failed" or empty
+    meanings: Mapping[str, str] = of_field(default_factory=dict)  # What a column says, by its head
     # Whether a notebook shows only the title until it is opened, and a terminal nothing more
     folded: bool = False
+
+    def mark(self, row: int) -> str:
+        """Return the mark of a row."""
+        return self.marks[row] if row < len(self.marks) else ""
 
     def lines(self) -> list[str]:
         """Return head and rows as aligned text."""
@@ -182,7 +190,7 @@ def _html_grid(grid: Grid) -> str:
     head = cells(grid.header, ['th scope="col"'] * len(kinds))
     body, tags = [], ['th scope="row"', *["td"] * (len(kinds) - 1)]
     for number, row in enumerate(grid.rows):
-        chosen = ' class="chosen"' if number == grid.marked else ""
+        chosen = ' class="chosen"' if grid.mark(number) == "best" else ""
         body.append(f"<tr{chosen}>{cells(row, tags)}</tr>")
     caption = "" if grid.folded else f"<caption>{escape(grid.title)}</caption>"
     text = f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"

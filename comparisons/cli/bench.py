@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from comparisons.cli.output import page, write_asked
 from comparisons.cli.study import run_cells
 from comparisons.missing_effect.diagnosis import FirmNames
-from comparisons.page.blocks import Part, Picture, Table, Words
+from comparisons.page.blocks import Part, Picture, Words
 from comparisons.show.figures import write_figures
 from comparisons.study.bench import COUNTS, bench_rows, bench_spec, draw_ranks, ranks_of
 from comparisons.study.run import check_study
@@ -40,7 +40,7 @@ def run(given: argparse.Namespace) -> Iterator[str]:
         f"{significant(p_value, 2)} (Friedman)"
     )
     picture = Picture("Mean ranks", draw_ranks(ranks), said, said)
-    parts = (Part("", (Table.of(grid), Words(said), picture)),)
+    parts = (Part("", (grid, Words(said), picture)),)
     pages = [("Methods on machines drawn at random", parts)]
     write_whole(folder / "report.html", page(spec.title, pages))
     n = write_figures(pages, folder)

@@ -15,7 +15,7 @@ from comparisons.missing_effect.quantities import chance
 from comparisons.missing_effect.results import CLEAR, CandidateRow
 from comparisons.missing_effect.where_rows import describe
 from comparisons.missing_effect.words import effect_words, ledger_words, verdict_words
-from comparisons.page.blocks import Block, Bullets, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Part, Picture, Words
 from comparisons.page.html import render_page
 from surge_core.display import Grid
 from surge_core.rounding import log_units, significant
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 WIDTH = 100
 # Of a long ranking the best are printed; --json holds all.
 ROWS_PRINTED = 8
-_PROSE = ("effect", "adds", "candidate")
 TOO_SHORT = "The records are too short to say where, or could not be simulated."
 NONE_FITTED = "No effect promised enough to be worth a fit."
 HOW = (
@@ -88,7 +87,7 @@ def diagnosis_parts(
         ),
         Part("What was added", _added(d)),
         Part("Parameters of the model", _parameters(d, brief)),
-        Part("Errors before and after", (Table.of(d.errors_grid()),)),
+        Part("Errors before and after", (d.errors_grid(),)),
         Part(
             f"Where the model and the measurement part{on}",
             (Bullets(tuple(where) or (TOO_SHORT,)), *noise),
@@ -172,11 +171,8 @@ def _goes_on(block: Block) -> bool:
 def _printed(block: Block) -> list[str]:
     if isinstance(block, Bullets):
         return [line for item in block.items for line in _wrapped(f"  {item}", "    ")]
-    if isinstance(block, Table):
-        words = frozenset(i for i, head in enumerate(block.heads) if not head.numeric)
-        rows = tuple(tuple(map(str, row)) for row in block.rows)
-        grid = Grid(block.caption, tuple(head.text for head in block.heads), rows, words)
-        return [grid.title, *(f"  {line}" for line in grid.lines())]
+    if isinstance(block, Grid):
+        return [block.title, *(f"  {line}" for line in block.lines())]
     assert isinstance(block, Words)
     if block.tone != "code":
         return _wrapped(block.text)
@@ -210,7 +206,7 @@ def _added(d: Diagnosis) -> tuple[Block, ...]:
     if not d.missing:
         return ()
     said = tuple(words for item in d.missing for words in effect_words(item))
-    return (Table.of(d.effect_grid(), prose=_PROSE), Bullets(said))
+    return (d.effect_grid(), Bullets(said))
 
 
 def _parameters(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
@@ -219,7 +215,7 @@ def _parameters(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
         blocks.append(Words("\n".join(d.equations), "code"))
     if d.parameters:
         marks = tuple("failed" if row.at_bound else "" for row in d.parameters)
-        blocks.append(replace(Table.of(d.parameter_grid()), marks=marks))
+        blocks.append(replace(d.parameter_grid(), marks=marks))
     if d.fit_said:
         blocks.append(Words(d.fit_said))
     if d.whole_runs:
@@ -237,7 +233,7 @@ def _tried(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
         more = left if len(d.candidates) > len(fitted) else ""
         return (
             Words(HOW_TWINS if d.whole_runs else HOW),
-            replace(Table.of(_candidate_grid(fitted), prose=_PROSE), marks=marks),
+            replace(_candidate_grid(fitted), marks=marks),
             Words(_legend(fitted) + more, "quiet"),
         )
     kept: list[CandidateRow] = []
@@ -246,7 +242,7 @@ def _tried(d: Diagnosis, brief: bool) -> tuple[Block, ...]:
         kept += [r for i, r in enumerate(own) if i < ROWS_PRINTED or r.chosen or r.alias]
     rest = len(d.candidates) - len(kept)
     said = [Words(f"and {rest} more (--json holds all)", "quiet")] if rest else []
-    return (Table.of(_candidate_grid(kept)), *said, Words(_legend(kept), "quiet"))
+    return (_candidate_grid(kept), *said, Words(_legend(kept), "quiet"))
 
 
 def _lines(found: Any) -> tuple[Block, ...]:

@@ -11,7 +11,8 @@ from importlib.metadata import version as version_of
 from importlib.resources import files
 from typing import Any
 
-from comparisons.page.blocks import Head, Part, Table
+from comparisons.page.blocks import Part
+from surge_core.display import Grid
 
 PACKAGES = (
     "sindy-surge",
@@ -25,6 +26,10 @@ PACKAGES = (
     "matplotlib",
     "jinja2",
 )
+# Letters of a cell that stays in one line, and of a word that a printed column holds.
+LONGEST_LINE, LONGEST_WORD = 30, 26
+# Columns beyond which a table is set smaller, and beyond which its numbers are broken in print.
+MANY_COLUMNS, MOST_COLUMNS = 7, 16
 
 
 def render_page(
@@ -62,6 +67,12 @@ def render_page(
     )
     pictures = [picture for _, parts in sections for part in parts for picture in part.pictures]
     uris = {id(picture): picture.uri for picture in progress(pictures)}
+    environment.globals |= {
+        "kind_of": lambda block: type(block).__name__.lower(),
+        "uri_of": lambda picture: uris[id(picture)],
+        "table_style": _table_style,
+        "cell_style": _cell_style,
+    }
     style, script = (
         (files("comparisons.page") / "templates" / name).read_text("utf-8")
         for name in ("report.css", "report.js")
@@ -75,7 +86,6 @@ def render_page(
         command=command,
         versions=_versions(),
         sections=sections,
-        uri_of=lambda picture: uris[id(picture)],
         policy=policy,
         style=Markup(style),
         script=Markup(script),
@@ -84,14 +94,32 @@ def render_page(
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def _versions() -> Table:
+def _versions() -> Grid:
     rows = [("Python", platform.python_version())]
     for name in PACKAGES:
         try:
             rows.append((name, version_of(name)))
         except PackageNotFoundError:
             rows.append((name, "not installed"))
-    return Table("Versions", (Head("package"), Head("version")), tuple(rows))
+    return Grid("Versions", ("package", "version"), tuple(rows), frozenset({0, 1}))
+
+
+def _table_style(grid: Grid) -> str:
+    """Return the classes of a table; rows of which one goes on with that above it stay in place."""
+    kinds = (
+        ("sortable", len(grid.rows) > 1 and all(row[0] for row in grid.rows)),
+        ("wide", len(grid.header) > MANY_COLUMNS),
+        ("widest", len(grid.header) > MOST_COLUMNS),
+    )
+    return " ".join(name for name, holds in kinds if holds)
+
+
+def _cell_style(grid: Grid, column: int, text: str) -> str:
+    """Return the classes of a cell: one of words that is long may be broken."""
+    long = any(len(word) > LONGEST_WORD for word in text.split())
+    if column not in grid.words:
+        return "numeric long" if long else "numeric"
+    return "prose" if long or len(text) > LONGEST_LINE else "short"
 
 
 def _digest(text: str) -> str:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
-from comparisons.page.blocks import Cell, Head, Table
 from comparisons.paper.instabilities import Instabilities
-from surge_core.display import Field, Sheet
+from surge_core.display import Field, Grid, Sheet
 
 
 class Finding(NamedTuple):
@@ -99,27 +98,24 @@ def _title(claims: Sequence[Claim]) -> str:
     )
 
 
-def claims_block(claims: Sequence[Claim]) -> Table:
+def claims_block(claims: Sequence[Claim]) -> Grid:
     """Return the claims as a table of the report."""
-    heads = (
-        Head("", numeric=True),
-        Head(
-            "claim of the paper",
-            "section, and kind: conformance of the code, built into the rig, or tested",
-            prose=True,
-        ),
-        Head("stated", "what the paper says"),
-        Head("found", "from the raw counts of the simulated rig"),
-        Head("holds"),
-        Head("how", "how it was tested, and what else was seen", prose=True),
-    )
+    meanings = {
+        "": "",
+        "claim of the paper": "section, and kind: conformance of the code, built into the rig, or "
+        "tested",
+        "stated": "what the paper says",
+        "found": "from the raw counts of the simulated rig",
+        "holds": "",
+        "how": "how it was tested, and what else was seen",
+    }
     # What could have come out otherwise, and did, first.
     kinds = ("tested", "conformance", "built in")
     ordered = sorted(claims, key=lambda claim: (kinds.index(claim.kind), claim.holds))
     rows = tuple(
         (
             str(claim.id),
-            Cell(claim.claim, f"{claim.section}; {claim.kind}"),
+            f"{claim.claim}\n{claim.section}; {claim.kind}",
             claim.shown(claim.stated),
             claim.shown(claim.found),
             "yes" if claim.holds else "no",
@@ -127,6 +123,6 @@ def claims_block(claims: Sequence[Claim]) -> Table:
         )
         for claim in ordered
     )
-    return Table(
-        _title(claims), heads, rows, tuple("" if claim.holds else "failed" for claim in ordered)
-    )
+    marks = tuple("" if claim.holds else "failed" for claim in ordered)
+    words = frozenset(range(1, len(meanings)))
+    return Grid(_title(claims), tuple(meanings), rows, words, marks, meanings)

@@ -242,7 +242,8 @@ class Comparison(Displayed):
             tuple(COLUMNS),
             tuple(_cells(row, self.result(row.estimator)) for row in self.table),
             frozenset({1, len(COLUMNS) - 1}),
-            marked=None if self.recommended is None else 0,
+            () if self.recommended is None else ("best",),
+            COLUMNS,
         )
 
     def _sheet(self) -> Sheet:

@@ -170,8 +170,9 @@ def reconstruction_grids(runs: Sequence[Reconstruction]) -> tuple[Grid, ...]:
             f"{np.count_nonzero(run.beyond)} ({_percent(run.outside)})",
         )
         groups.setdefault(run.title, []).append(row)
-    heads, words = tuple(RECONSTRUCTION_COLUMNS), frozenset({0, 1})
-    return tuple(Grid(title, heads, tuple(rows), words) for title, rows in groups.items())
+    about = frozenset({0, 1}), (), RECONSTRUCTION_COLUMNS
+    heads = tuple(RECONSTRUCTION_COLUMNS)
+    return tuple(Grid(title, heads, tuple(rows), *about) for title, rows in groups.items())
 
 
 def _percent(share: float, digits: int = 0) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Part, Picture, Words
 from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, legend_above, panel, strips
 from sindy_surge.discover.dynamics import SparseDynamics
@@ -17,6 +17,7 @@ from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.loop_balance import Balance
 from sindy_surge.discover.loop_lag import Branch
 from sindy_surge.discover.loops import SurgeLoop
+from surge_core.display import Grid
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
@@ -123,12 +124,12 @@ def discover_report(
     return render_page([(", ".join(names), tuple(parts))], title=title, command=command)
 
 
-def _table(state: str, terms: Sequence[Term]) -> Table:
+def _table(state: str, terms: Sequence[Term]) -> Grid:
     rows = tuple(
         (t.name, round_to_error(t.coefficient, t.stderr) if t.stderr else f"{t.coefficient:g}")
         for t in terms
     )
-    return Table(f"d{state}/dt", (Head("term"), Head("coefficient", numeric=True)), rows)
+    return Grid(f"d{state}/dt", ("term", "coefficient"), rows)
 
 
 def _pictures(
@@ -206,7 +207,7 @@ def loop_text(loop: SurgeLoop) -> tuple[str, ...]:
 def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
     """Return the section of the report."""
     rows = tuple(_loop_fields(loop))
-    table = Table("What the loop measures", (Head("quantity"), Head("value", prose=True)), rows)
+    table = Grid("What the loop measures", ("quantity", "value"), rows, frozenset({0, 1}))
     tone = "plain" if loop.state is FitState.OK else "caution"
     state = Words(f"{loop.state}: {loop.state.advice}.", tone)
     words = map(Words, _loop_equations(loop))

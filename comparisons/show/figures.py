@@ -10,8 +10,9 @@ from typing import Any
 
 import pandas as pd
 
-from comparisons.page.blocks import Cell, Part, Table
+from comparisons.page.blocks import Part
 from comparisons.results import Curve
+from surge_core.display import Grid
 from surge_core.files import replace_whole, to_strict_json, write_whole
 
 # Widths of one and of two columns of a paper in inches; a picture up to the limit takes one.
@@ -44,7 +45,7 @@ def write_figures(
     folder.mkdir(parents=True, exist_ok=True)
     parts = [part for _, own in pages for part in own]
     pictures = [picture for part in parts for picture in part.pictures]
-    tables = [b for part in parts for b in part.blocks if isinstance(b, Table) and b.rows]
+    tables = [b for part in parts for b in part.blocks if isinstance(b, Grid) and b.rows]
     for number, picture in enumerate(pictures, start=1):
         figure: Any = picture.figure
         wide, high = figure.get_size_inches()
@@ -56,8 +57,8 @@ def write_figures(
         figure.set_size_inches(wide, high)
     for number, table in enumerate(tables, start=1):
         rows = [[_text(cell) for cell in row] for row in table.rows]
-        frame = pd.DataFrame(rows, columns=[head.text or "#" for head in table.heads])
-        stem = folder / f"table_{number:02d}_{_slug(table.caption)}"
+        frame = pd.DataFrame(rows, columns=[head or "#" for head in table.header])
+        stem = folder / f"table_{number:02d}_{_slug(table.title)}"
         write_whole(stem.with_suffix(".csv"), frame.to_csv(index=False, lineterminator="\n"))
         write_whole(stem.with_suffix(".tex"), _latex(frame))
     if curve is not None:
@@ -74,8 +75,9 @@ def _save(figure: Any, kind: str, path: Path) -> None:
     figure.savefig(path, format=kind[1:], metadata=dated)
 
 
-def _text(cell: str | Cell) -> str:
-    return cell if isinstance(cell, str) else f"{cell.text} ({cell.small})"
+def _text(cell: str) -> str:
+    text, _, small = cell.partition("\n")
+    return f"{text} ({small})" if small else text
 
 
 def _latex(frame: pd.DataFrame) -> str:

@@ -17,11 +17,9 @@ from comparisons.harness.answer import answer_of
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.tau_trial import trial_of
 from comparisons.missing_effect.report import diagnosis_parts
-from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Summary, Table, Words
+from comparisons.page.blocks import Block, Bullets, Part, Summary, Words
 from comparisons.page.html import render_page
 from comparisons.results import (
-    COLUMNS,
-    RECONSTRUCTION_COLUMNS,
     SYMBOLS,
     Answer,
     Caution,
@@ -38,12 +36,11 @@ from comparisons.show import plots_curve, plots_record
 from comparisons.show.inspection import inspect_text
 from comparisons.show.structure_output import structure_parts
 from comparisons.show.table import work_table
+from surge_core.display import Grid
 from surge_core.rounding import significant
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
-# Columns of a ledger that hold sentences.
-LEDGER_PROSE = ("did", "parameters", "left out", "flags")
 # Which τ to quote stands above all.
 SAID_ELSEWHERE = ("quote_tau", "tau_biased")
 
@@ -158,9 +155,9 @@ def _parts(section: ReportSection) -> tuple[Part, ...]:
     ]
     quality = (*_cautions(section), *section.quality, *_record_pictures(section))
     ledgers = (
-        Table.of(ledger_grid(history)[0], caption=source, prose=LEDGER_PROSE)
+        replace(ledger_grid(history)[0], title=source)
         if history
-        else Table(f"{source}: no ledger came with this record", (), ())
+        else Grid(f"{source}: no ledger came with this record", (), ())
         for source, history in section.ledgers.items()
     )
     parts = (
@@ -232,21 +229,21 @@ def _tau_words(
     return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
 
 
-def _summary_table(fit: Comparison) -> Table:
+def _summary_table(fit: Comparison) -> Grid:
     """Return the comparison table, from the same fields as that of the terminal."""
     order = "the recommended first" if fit.recommended else "none is recommended"
     caption = f"Estimators of the {NAMES[fit.rows.target]}, {order}"
-    table = Table.of(fit.grid(), caption=caption, meanings=COLUMNS, prose=("trust",), zero="least")
-    return _with_names(table, ((row.label, row.estimator) for row in fit.table))
+    grid = replace(fit.grid(), title=caption)
+    return _with_names(grid, ((row.label, row.estimator) for row in fit.table))
 
 
-def _with_names(table: Table, named: Iterable[tuple[str, str]]) -> Table:
+def _with_names(grid: Grid, named: Iterable[tuple[str, str]]) -> Grid:
     """Print below the label of each row's estimator the name that the command line knows it by."""
     rows = tuple(
-        tuple(Cell(label, name) if cell == label != name else cell for cell in cells)
-        for cells, (label, name) in zip(table.rows, named, strict=True)
+        tuple(f"{label}\n{name}" if cell == label != name else cell for cell in cells)
+        for cells, (label, name) in zip(grid.rows, named, strict=True)
     )
-    return replace(table, rows=rows)
+    return replace(grid, rows=rows)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
@@ -278,8 +275,7 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
     """Return scores and pictures of models that were fitted elsewhere, a table for each record."""
     blocks: list[Block] = []
     for grid in reconstruction_grids(runs):
-        caption = f"{grid.title}; nothing refitted"
-        table = Table.of(grid, caption=caption, meanings=RECONSTRUCTION_COLUMNS, zero="least")
+        table = replace(grid, title=f"{grid.title}; nothing refitted")
         own = [run.model.estimator for run in runs if run.title == grid.title]
         blocks.append(_with_names(table, ((estimator_label(name), name) for name in own)))
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
@@ -288,29 +284,26 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
     return (*blocks, *map(plots_record.validation, groups.values()))
 
 
-def _checks_table(fit: Comparison) -> Table:
+def _checks_table(fit: Comparison) -> Grid:
     """Return the residual checks, a row for each estimator and a column for each check."""
     results = [fit.result(row.estimator) for row in fit.table]
-    meanings = {c.check: c.meaning for result in results for c in result.checks}
+    meanings = {c.check.replace("_", " "): c.meaning for r in results for c in r.checks}
     rows = []
     for result in results:
-        by_name = {check.check: check for check in result.checks}
+        by_name = {check.check.replace("_", " "): check for check in result.checks}
         cells = [_check_cell(by_name.get(name)) for name in meanings]
-        rows.append((Cell(result.label, result.name), *cells))
-    heads = (
-        Head("estimator"),
-        *(Head(name.replace("_", " "), meaning) for name, meaning in meanings.items()),
-    )
+        rows.append((f"{result.label}\n{result.name}", *cells))
     caption = f"Checks of the errors, {NAMES[fit.rows.target]}; below each, statistic and limit"
-    return Table(caption, heads, tuple(rows))
+    words = frozenset(range(1 + len(meanings)))
+    return Grid(caption, ("estimator", *meanings), tuple(rows), words, (), meanings)
 
 
-def _check_cell(check: CheckRow | None) -> str | Cell:
+def _check_cell(check: CheckRow | None) -> str:
     if check is None:
         return "not made"
     limit = f"{check.operator} {significant(check.threshold, 3)}"
-    small = f"{significant(check.statistic, 3)} ({limit})"
-    return Cell("passed" if check.passed else "failed", small)
+    word = "passed" if check.passed else "failed"
+    return f"{word}\n{significant(check.statistic, 3)} ({limit})"
 
 
 def _cautions(section: ReportSection) -> tuple[Bullets, ...]:

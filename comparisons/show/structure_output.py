@@ -9,9 +9,10 @@ import numpy as np
 
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.structure_fit import FoundStructure
-from comparisons.page.blocks import Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Part, Picture, Words
 from comparisons.results import Curve
 from comparisons.show.plots_curve import curve_picture
+from surge_core.display import Grid
 from surge_core.terms import pretty_term
 
 WIDTH = 100
@@ -45,8 +46,8 @@ def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
         for field in sheet.fields
         for number, line in enumerate(field.lines)
     )
-    fields = Table(sheet.title, (Head("quantity"), Head("value", prose=True)), rows)
-    tables = (fields, *map(Table.of, sheet.grids))
+    fields = Grid(sheet.title, ("quantity", "value"), rows, frozenset({0, 1}))
+    tables = (fields, *sheet.grids)
     return (
         Part("Structure", (opening, *tables, Words(f"{_left_out(found)} {QUOTE}"))),
         Part("Characteristic", (_picture(found),)),

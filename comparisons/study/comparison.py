@@ -172,7 +172,8 @@ class GroupComparison(Displayed):
             for row in self.rows
         )
         words = frozenset([1, len(COLUMNS) - 2, len(COLUMNS) - 1])
-        return Grid(self.caption, tuple(COLUMNS), rows, words, marked=0 if self.best else None)
+        marks = ("best",) if self.best else ()
+        return Grid(self.caption, tuple(COLUMNS), rows, words, marks, COLUMNS)
 
     def _difference(self, row: MethodRow) -> str:
         if row.method == self.reference:

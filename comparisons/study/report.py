@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Bullets, Head, Part, Table, Words
+from comparisons.page.blocks import Bullets, Part, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import COLUMNS, compare_methods
 from comparisons.study.spec import StudySpec
+from surge_core.display import Grid
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,21 +49,18 @@ def render_study_report(
     leads = tuple(several[0].lead() for several in groups)
     sections = [("In short", [Part("Lead", (Bullets(leads), Words(extent, "quiet")))])]
     for several in groups:
-        tables = [
-            Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
-            for group in several
-        ]
+        tables = [group.grid() for group in several]
         part = Part("Methods", (*tables, Words(READING, "quiet")))
         sections.append((several[0].score.label.capitalize(), [part]))
     sections.append(("Cells that did not end well", [Part("Reasons", (_failures(table),))]))
     return render_page(sections, title=spec.title, command=command)
 
 
-def _failures(table: pd.DataFrame) -> Table:
+def _failures(table: pd.DataFrame) -> Grid:
     """Return how many cells ended in each state other than "ok", by method and reason."""
     bad = table[table["state"] != "ok"]
     counts = bad.groupby(["method", "state", "reason"]).size().sort_values(ascending=False)
     ends: Any = counts.head(MOST_REASONS).items()
     rows = tuple((method, state, str(n), reason) for (method, state, reason), n in ends)
-    heads = (Head("method"), Head("state"), Head("cells", numeric=True), Head("reason", prose=True))
-    return Table(f"{len(bad)} of {len(table)} cells", heads, rows)
+    heads = ("method", "state", "cells", "reason")
+    return Grid(f"{len(bad)} of {len(table)} cells", heads, rows, frozenset({0, 1, 3}))

@@ -1,9 +1,10 @@
 "use strict";
 (() => {
-  const text = (cell) => (cell.dataset.value ?? cell.firstChild?.textContent ?? "").trim();
+  const text = (cell) => (cell.firstChild?.textContent ?? "").trim();
 
-  // "−0.12 ± 0.03 ms" is sorted as −0.12; null for what is no number.
+  // "−0.12 ± 0.03 ms" is sorted as −0.12, what others are compared to as 0; null for no number.
   function number(words) {
+    if (words === "least" || words === "reference") return 0;
     const plain = words.replace(/\u2212/g, "-").replace(/^[~≈<>≤≥(\s]+/, "");
     const scaled = /^([-+]?[\d.]+)(?: ± [\d.]+\))?e([-+]?\d+)/.exec(plain);
     if (scaled) return Number(scaled[1]) * 10 ** Number(scaled[2]);
