@@ -14,14 +14,14 @@ from classic_ml.description import FileLayout
 from classic_ml.io.csv import open_csv
 from classic_ml.io.series import read_series
 from classic_ml.series import CoefficientSeries
-from comparisons.cli.output import command_line, page, write_asked
+from comparisons.cli.output import page, write_asked
 from comparisons.show.discover_output import (
     discover_document,
-    discover_report,
-    discover_text,
+    discover_lines,
+    discover_parts,
     loop_document,
+    loop_lines,
     loop_parts,
-    loop_text,
 )
 from sindy_surge import SparseDynamics, SurgeLoop, discover_loop
 from surge_core.errors import InputError
@@ -50,6 +50,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     if TIME in (*states, *inputs):
         raise InputError("--states", expected="measured columns", found=f"the clock, {TIME}")
     hidden = _names("--hidden", given.hidden)
+    names = ", ".join(path.name for path in given.files)
     with shown_steps(3) as begin:
         begin("reading")
         tables = [_table(path, (*states, *inputs)) for path in given.files]
@@ -68,11 +69,9 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         written = write_asked(
             given,
             json=lambda: discover_document(model),
-            report=lambda: discover_report(
-                model, x, t, names=[path.name for path in given.files], command=command_line()
-            ),
+            report=lambda: page(f"Equations of {names}", [(names, discover_parts(model, x, t))]),
         )
-    return discover_text(model), *written
+    return *discover_lines(model), *written
 
 
 def _loop(given: argparse.Namespace) -> Iterable[str]:
@@ -91,7 +90,7 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
             json=lambda: loop_document(found),
             report=lambda: page(f"Surge loop of {path.name}", [section]),
         )
-    return *loop_text(found), *written
+    return *loop_lines(found), *written
 
 
 def discover_series_loop(series: CoefficientSeries) -> SurgeLoop:

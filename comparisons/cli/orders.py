@@ -13,10 +13,12 @@ from comparisons.cli.output import read_records, write_asked
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.rows import stack_rows
 from comparisons.results import Caution
+from surge_core.display import Grid
 from surge_core.progress import shown_over
-from surge_core.rounding import round_to_error
+from surge_core.rounding import round_to_error, significant
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
+HEADS = ("model", "BIC", "AICc", "held-out", "τ [ms]", "white", "state")
 ROWS_SHOWN = 12
 TIES_NAMED = 4
 NO_TAU = (
@@ -47,17 +49,21 @@ def run(given: argparse.Namespace) -> Iterable[str]:
 
 def _lines(table: OrderTable, *, biased: bool) -> list[str]:
     """Return the best rows as text, the recommended one marked unless its τ is biased."""
-    lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
     shown = table.rows[:ROWS_SHOWN]
     if table.recommended not in shown:
         shown = (*shown, table.recommended)
-    for row in shown:
-        tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
-        mark = "*" if row == table.recommended and not biased else " "
-        lines.append(
-            f"{mark}{row.name:27s}{row.bic:9.1f}{row.aicc:9.1f}{row.held_out_rms:10.4g}{tau:>14s}"
-            f"  {'yes' if row.white else 'no':5s}  {row.state}"
+    rows = tuple(
+        (
+            f"{'*' if row == table.recommended and not biased else ' '}{row.name}",
+            *(f"{value:.1f}" for value in (row.bic, row.aicc)),
+            significant(row.held_out_rms),
+            round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s),
+            "yes" if row.white else "no",
+            row.state,
         )
+        for row in shown
+    )
+    lines = Grid("", HEADS, rows, frozenset({0, 5, 6})).lines()
     if len(table.rows) > len(shown):
         lines.append(f"and {len(table.rows) - len(shown)} more (--json holds all)")
     lines.append(

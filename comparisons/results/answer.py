@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from comparisons.results.names import SYMBOLS
+from sindy_surge.text import signed_sum
 from surge_core.display import Displayed, Field, Sheet
-from surge_core.rounding import bracketed, round_like, round_to_error
-from surge_core.terms import pretty_term, terms_json
+from surge_core.rounding import round_like, round_to_error
+from surge_core.terms import terms_json
 from surge_core.types import BoolArray, FloatArray
 
 
@@ -50,15 +51,8 @@ class Curve:
 
     def equation(self) -> str:
         """Write the curve in its terms, each number rounded to its standard error."""
-        right = ""
-        for name, value, error in zip(
-            self.terms, self.coefficients, self.coefficient_stderr, strict=True
-        ):
-            sign = " - " if value < 0.0 else " + "
-            factor = "" if name == "1" else f" {pretty_term(name)}"
-            right += f"{sign}{bracketed(abs(value), error)}{factor}"
-        right = right.removeprefix(" + ").replace(" - ", "-", right.startswith(" - "))
-        return f"{SYMBOLS[self.target]}_QS = {right or '0'}"
+        terms = zip(self.terms, self.coefficients, self.coefficient_stderr, strict=True)
+        return f"{SYMBOLS[self.target]}_QS = {signed_sum(list(terms))}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the curve as plain JSON types."""

@@ -14,6 +14,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
 from comparisons.results.terms import evaluate_terms, is_known_term
+from sindy_surge.text import signed_sum
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.rounding import bracketed
 from surge_core.segments import runs_of
@@ -310,8 +311,7 @@ class FittedLag:
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
         symbol = SYMBOLS.get(self.target, self.target)
-        terms = map(_term, self.terms, self.coefficients, self.stderr)
-        right = " ".join(terms).removeprefix("+ ") or "0"
+        right = signed_sum(list(zip(self.terms, self.coefficients, self.stderr, strict=True)))
         if not math.isfinite(self.time_constant_s):
             return f"{symbol} = {right}"
         tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
@@ -346,9 +346,3 @@ def _joint_covariance(estimator: Any) -> tuple[float, ...]:
         stderr_s = float(estimator.time_constant_stderr_s_)
         joint = block_diag([[stderr_s**2]], np.asarray(estimator.covariance_))
     return tuple(np.ravel(joint).tolist()) if np.all(np.isfinite(joint)) else ()
-
-
-def _term(name: str, value: float, stderr: float) -> str:
-    sign = "-" if value < 0.0 else "+"
-    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
-    return f"{sign} {bracketed(abs(value), stderr)}{factor}"

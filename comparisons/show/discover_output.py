@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from comparisons.page.blocks import Block, Part, Picture, Words
-from comparisons.page.html import render_page
 from comparisons.page.style import FAINT, legend_above, panel, strips
 from sindy_surge.discover.dynamics import SparseDynamics
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.loop_balance import Balance
 from sindy_surge.discover.loop_lag import Branch
 from sindy_surge.discover.loops import SurgeLoop
-from surge_core.display import Grid
+from sindy_surge.text import signed_sum
 from surge_core.fit_state import FitState
-from surge_core.rounding import bracketed, round_to_error
 from surge_core.terms import terms_json
 from surge_core.types import FloatArray
 
@@ -56,36 +54,26 @@ def _equations(
     return [{"state": state, "terms": list(map(asdict, terms))} for state, terms in named]
 
 
-def discover_text(model: SparseDynamics) -> str:
-    """Return the equations, their state and their rivals as text; the state alone if they fail."""
-    head = f"{model.state_.code}: {model.state_.advice}"
+def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
+    """Return state, equations and rivals, line by line; the state alone if the fit failed."""
+    head = f"{model.state_}: {model.state_.advice}"
     if not _stated(model):
-        return head
-    lines = [head, ""]
-    for state, terms in zip(model.state_names_, model.equation_terms_, strict=True):
-        lines.append(f"d{state}/dt = {_written(terms)}")
-    lines += ["", _rivals_words(model)]
-    lines += [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
-    return "\n".join(lines)
-
-
-def _rivals_words(model: SparseDynamics) -> str:
-    """Say how many other models the data leave."""
-    if not model.rivals_:
-        return f"rivals: none within 5 of the log-likelihood ({len(model.path_)} models compared)"
-    return (
-        f"rivals: {len(model.rivals_)} of {len(model.path_)} models compared are within 5 of the "
-        "log-likelihood and cannot be excluded"
-    )
-
-
-def _written(terms: Sequence[Term]) -> str:
-    def one(term: Term) -> str:
-        if term.stderr > 0.0:
-            return f"{bracketed(term.coefficient, term.stderr)} {term.name}"
-        return f"{term.coefficient:g} {term.name} (given)"
-
-    return "  +  ".join(one(term) for term in terms) or "0"
+        return (head,)
+    named = zip(model.state_names_, model.equation_terms_, strict=True)
+    sums = {
+        state: signed_sum([(t.name, t.coefficient, t.stderr) for t in terms])
+        for state, terms in named
+    }
+    equations = [f"d{state}/dt = {written}" for state, written in sums.items()]
+    rivals = [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
+    tried = f"{len(model.path_)} models compared"
+    words = f"rivals: none within 5 of the log-likelihood ({tried})"
+    if model.rivals_:
+        words = (
+            f"rivals: {len(model.rivals_)} of {tried} are within 5 of the log-likelihood and "
+            "cannot be excluded"
+        )
+    return (head, *equations, words, *rivals)
 
 
 def _difference(model: SparseDynamics, rival: Rival) -> str:
@@ -101,35 +89,19 @@ def _difference(model: SparseDynamics, rival: Rival) -> str:
     return f"{rival.behind:.1f} behind: {'; '.join(parts)}"
 
 
-def discover_report(
-    model: SparseDynamics,
-    x: Sequence[FloatArray],
-    t: Sequence[FloatArray],
-    *,
-    names: Sequence[str],
-    command: str = "sindy-surge discover",
-) -> str:
-    """Return the equations and their pictures as one self-contained HTML page.
-
-    ``x`` and ``t`` are the measured states and times of each trajectory, ``names`` their files.
-    """
-    tone = "plain" if model.state_ is FitState.OK else "caution"
-    blocks: list[Block] = [Words(model.state_.advice, tone)]
-    if _stated(model):
-        named = zip(model.state_names_, model.equation_terms_, strict=True)
-        blocks += [*(_table(*each) for each in named), Words(_rivals_words(model))]
-    parts = [Part("Equations", tuple(blocks))]
-    parts.append(Part("Measured and estimated", tuple(_pictures(model, x, t))))
-    title = "Equations of " + ", ".join(names)
-    return render_page([(", ".join(names), tuple(parts))], title=title, command=command)
+def discover_parts(
+    model: SparseDynamics, x: Sequence[FloatArray], t: Sequence[FloatArray]
+) -> tuple[Part, ...]:
+    """Return the parts of the page; ``x`` and ``t`` are states and times of each trajectory."""
+    equations = _said("Equations", discover_lines(model), good=model.state_ is FitState.OK)
+    return equations, Part("Measured and estimated", tuple(_pictures(model, x, t)))
 
 
-def _table(state: str, terms: Sequence[Term]) -> Grid:
-    rows = tuple(
-        (t.name, round_to_error(t.coefficient, t.stderr) if t.stderr else f"{t.coefficient:g}")
-        for t in terms
-    )
-    return Grid(f"d{state}/dt", ("term", "coefficient"), rows)
+def _said(title: str, lines: Sequence[str], *, good: bool) -> Part:
+    """Return the lines of the terminal as a part: the state, and what was found."""
+    state, *found = lines
+    words = (Words(state, "plain" if good else "caution"), Words("\n".join(found), "code"))
+    return Part(title, words if found else words[:1])
 
 
 def _pictures(
@@ -198,37 +170,29 @@ def loop_document(loop: SurgeLoop) -> dict[str, Any]:
     }
 
 
-def loop_text(loop: SurgeLoop) -> tuple[str, ...]:
-    """Return what the terminal shows."""
-    fields = (f"{name}: {value}" for name, value in _loop_fields(loop))
-    return (f"{loop.state}: {loop.state.advice}", *_loop_equations(loop), *fields)
+def loop_lines(loop: SurgeLoop) -> tuple[str, ...]:
+    """Return what terminal and page show: state, equations, and what the loop measures."""
+    head = f"{loop.state}: {loop.state.advice}"
+    period = f"period: {loop.measured_cycles.period_s:.4f} s measured"
+    if loop.state is not FitState.OK:
+        return head, period
+    lag = loop.lag
+    names = ("unstalled once φ rises through", "stalled once φ falls through")
+    levels = zip(names, lag.levels, lag.levels_stderr, strict=False)
+    simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
+    return (
+        head,
+        *loop.equations(),
+        f"branches: {loop.n_branches}",
+        f"time constant: {1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} "
+        "ms",
+        *(f"{name}: {level:.4f} ± {error:.4f}" for name, level, error in levels),
+        f"{period}, {simulated} simulated",
+        f"plenum pressure: {'hidden' if loop.plenum_hidden else 'measured'}",
+    )
 
 
 def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
     """Return the section of the report."""
-    rows = tuple(_loop_fields(loop))
-    table = Grid("What the loop measures", ("quantity", "value"), rows, frozenset({0, 1}))
-    tone = "plain" if loop.state is FitState.OK else "caution"
-    state = Words(f"{loop.state}: {loop.state.advice}.", tone)
-    words = map(Words, _loop_equations(loop))
-    return (Part(f"Surge loop of {Path(source).name}", (state, *words, table)),)
-
-
-def _loop_equations(loop: SurgeLoop) -> tuple[str, ...]:
-    return loop.equations() if loop.state is FitState.OK else ()
-
-
-def _loop_fields(loop: SurgeLoop) -> list[tuple[str, str]]:
-    period = f"{loop.measured_cycles.period_s:.4f} s measured"
-    if loop.state is not FitState.OK:
-        return [("period", period)]
-    lag = loop.lag
-    tau = f"{1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} ms"
-    fields = [("branches", str(loop.n_branches)), ("time constant", tau)]
-    names = ("unstalled once φ rises through", "stalled once φ falls through")
-    for name, level, error in zip(names, lag.levels, lag.levels_stderr, strict=False):
-        fields.append((name, f"{level:.4f} ± {error:.4f}"))
-    simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
-    fields.append(("period", f"{period}, {simulated} simulated"))
-    fields.append(("plenum pressure", "hidden" if loop.plenum_hidden else "measured"))
-    return fields
+    good = loop.state is FitState.OK
+    return (_said(f"Surge loop of {Path(source).name}", loop_lines(loop), good=good),)

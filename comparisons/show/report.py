@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from comparisons.harness.cautions import tau_caution
 from comparisons.harness.tau_trial import trial_of
 from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Block, Bullets, Part, Summary, Words
-from comparisons.page.html import render_page
 from comparisons.results import (
     SYMBOLS,
     Answer,
@@ -97,35 +95,6 @@ class ReportSection:
         for record in (*records, *(run.record for run in self.validation)):
             found.setdefault(record.source, record.history)
         return found
-
-
-def render_report(
-    sections: Sequence[ReportSection],
-    *,
-    title: str,
-    command: str,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> str:
-    """Return a report as one self-contained HTML page.
-
-    Parameters
-    ----------
-    sections : sequence of ReportSection
-        What it is about.
-    title : str
-        Title of the page.
-    command : str
-        The command line that made it.
-    progress : callable
-        Wraps the iteration over the pictures, to show how far the drawing is.
-
-    Returns
-    -------
-    str
-        HTML with its style and its images in it. All text is escaped: names of files and
-        channels, and what ledgers say, are data.
-    """
-    return render_page(report_pages(sections), title=title, command=command, progress=progress)
 
 
 def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Part, ...]]]:

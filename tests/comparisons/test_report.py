@@ -21,9 +21,10 @@ from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.answer import answer_of
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Part, Words
+from comparisons.page.html import render_page
 from comparisons.results import Caution, Truth
 from comparisons.show.figures import write_figures
-from comparisons.show.report import ReportSection, render_report, report_pages
+from comparisons.show.report import ReportSection, report_pages
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
 HEADINGS = ("Evidence", "Diagnosis", "Checks", "Data quality", "Ledger", "Settings")
@@ -60,7 +61,9 @@ def html(reduction: Reduction) -> str:
         validation=(reconstruct_record(comparison.results[0].model, made_series(5, "other.csv")),),
         extra=(Part("Diagnosis", (Words("nothing is missing"),)),),
     )
-    page = render_report([section], title="The report", command="sindy-surge compare x.csv")
+    page = render_page(
+        report_pages([section]), title="The report", command="sindy-surge compare x.csv"
+    )
     return without_own_script(page)
 
 
@@ -106,8 +109,10 @@ def test_what_files_and_ledgers_say_is_text() -> None:
     )
     run = reconstruct_record(comparison.results[0].model, made_series(5, EVIL))
     phi = np.linspace(0.0, 1.0, 50)
-    html = render_report(
-        [ReportSection(EVIL, comparison, truth=Truth(0.018, phi, phi, EVIL), validation=(run,))],
+    html = render_page(
+        report_pages(
+            [ReportSection(EVIL, comparison, truth=Truth(0.018, phi, phi, EVIL), validation=(run,))]
+        ),
         title=EVIL,
         command=EVIL,
     )
@@ -127,7 +132,7 @@ def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
     assert html.count('<tr class="best">') == 1
     assert "Believe sparse regression" in Page(html).text
     none = dataclasses.replace(made_comparison(), quotable=())
-    page = render_report([ReportSection("x", none)], title="x", command="x")
+    page = render_page(report_pages([ReportSection("x", none)]), title="x", command="x")
     assert '<tr class="best">' not in page
     assert "none to quote" in Page(page).text
 

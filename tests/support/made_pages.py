@@ -13,8 +13,9 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.page.blocks import Part, Words
+from comparisons.page.html import render_page
 from comparisons.results import Caution, Truth
-from comparisons.show.report import ReportSection, render_report
+from comparisons.show.report import ReportSection, report_pages
 
 # Each would run, style or load something in a page that does not escape it.
 EVIL = (
@@ -51,7 +52,7 @@ def _compare(name: str) -> str:
         validation=(reconstruct_record(comparison.results[0].model, made_series(5, name)),),
         extra=(Part(name, (Words(name, "code"),)),),
     )
-    return render_report([section], title=name, command=f"sindy-surge compare {name}")
+    return render_page(report_pages([section]), title=name, command=f"sindy-surge compare {name}")
 
 
 @cache
@@ -63,7 +64,7 @@ def _reduce(name: str) -> str:
     own = _reduction()
     series = replace(own.series, source=name)
     section = ReportSection(name, reduction=replace(own, series=series))
-    return render_report([section], title=name, command=f"sindy-surge reduce {name}")
+    return render_page(report_pages([section]), title=name, command=f"sindy-surge reduce {name}")
 
 
 def _diagnose(name: str) -> str:
@@ -133,8 +134,10 @@ def _reproduce(name: str) -> str:
         Claim(3, "p. 6", "Cells turn", "tested", "half speed", name, True, "spectrum", ""),
     ]
     drawn = [Picture(name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
-    return render_report(
-        claims_sections(claims, drawn), title=name, command=f"sindy-surge reproduce {name}"
+    return render_page(
+        report_pages(claims_sections(claims, drawn)),
+        title=name,
+        command=f"sindy-surge reproduce {name}",
     )
 
 

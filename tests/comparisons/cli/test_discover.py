@@ -14,7 +14,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.cli.discover import discover_series_loop
 from comparisons.page.html import render_page
-from comparisons.show.discover_output import loop_document, loop_parts, loop_text
+from comparisons.show.discover_output import loop_document, loop_lines, loop_parts
 from sindy_surge import discover_loop
 from surge_core.files import to_strict_json
 
@@ -98,7 +98,7 @@ def test_a_loop_gives_text_document_and_report() -> None:
     assert abs(document["levels"]["recover_phi"]["value"] - machine.levels[0]) < 0.005
     assert [t["name"] for t in document["equations"][1]["terms"]] == ["phi", "sqrt(plenum)"]
     assert document["fit_state"]["code"] == loop.state.code
-    assert any("[stalled]" in line for line in loop_text(loop))
+    assert any("[stalled]" in line for line in loop_lines(loop))
     page = render_page([("s", loop_parts(loop, "s.csv"))], title="t", command="c")
     assert "Surge loop of s.csv" in page
 
