@@ -65,8 +65,7 @@ def answer_of(
     refused : sequence of str
         What other steps refused.
     """
-    chosen = comparison.recommended
-    first = comparison.result(chosen or comparison.table[0].estimator)
+    chosen, first = comparison.recommended, comparison.first
     model = first.model
     tau = (model.time_constant_s, model.time_constant_stderr_s) if chosen else (math.nan, math.nan)
     shared = first.whole_run.measurement_share_ if first.whole_run is not None else 0.0

@@ -32,7 +32,6 @@ from comparisons.harness.fit_quality import rms, score_fit, trusted_range
 from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import (
     Comparison,
-    ComparisonRow,
     EstimatorResult,
     FitRows,
     FittedLag,
@@ -102,18 +101,16 @@ def compare_records(
         measuring=measuring,
     )
     averaged = averaged_rows(records, _until_s(rows, records)) if target == "psi_p" else None
-    results = tuple(_run(spec, rows, averaged, records, hold) for spec in progress(specs))
-    quotable = _quotable(records, results)
-    table = _table(results, quotable)
+    found = tuple(_run(spec, rows, averaged, records, hold) for spec in progress(specs))
+    quotable = _quotable(records, found)
+    results = _in_order(found, quotable)
     histories = [record.history for record in records]
     biased = tau_caution(histories, target=target, quotable=quotable)
     cautions = (
         *([biased] if biased else []),
         *comparison_cautions(records, rows, results),
     )
-    first = next(result for result in results if result.name == table[0].estimator)
-    valid_phi = first.model.valid_phi
-    return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
+    return Comparison(tuple(records), rows, results, cautions, quotable)
 
 
 def _quotable(
@@ -284,10 +281,10 @@ def _state(estimator: Any) -> tuple[str, str]:
     return ("converged" if code == "ok" else code), str(getattr(state, "advice", ""))
 
 
-def _table(
+def _in_order(
     results: tuple[EstimatorResult, ...], quotable: tuple[str, ...]
-) -> tuple[ComparisonRow, ...]:
-    """Set the estimator whose τ is to be quoted first, then order by trust."""
+) -> tuple[EstimatorResult, ...]:
+    """Set the estimator whose τ is to be quoted first, then order by trust; add the differences."""
 
     def distrust(result: EstimatorResult) -> tuple[int, bool, bool, bool, int]:
         # No error of a free run: a low one is no evidence of a right τ. A whole run that withholds
@@ -301,24 +298,26 @@ def _table(
             len(result.failed),
         )
 
-    errors, rows = {}, []
+    errors, ordered = {}, []
     for result in results:
         left_out = ~result.rows.train & (result.held_out is not None)
         errors[result.name] = (result.rows.measured - result.trained)[left_out]
-    for rank, result in enumerate(sorted(results, key=distrust), start=1):
+    for result in sorted(results, key=distrust):
         own, kind = errors[result.name], result.rows.kind
         labels = result.rows.labels[~result.rows.train]
         runs = runs_of(labels, labels.size) if own.size else []
         alike = [errors[r.name] for r in results if r.rows.kind == kind and errors[r.name].size]
         difference, paired_error, p_value = compared(own, min(alike, key=rms, default=own), runs)
-        held_out = block_rms(block_errors(own, runs))
-        tau = result.model.time_constant_s, result.model.time_constant_stderr_s
-        about = result.name, result.label, rank
-        row = ComparisonRow(
-            *about, *held_out, difference, paired_error, *tau, _trust(result), kind, p_value
+        set_beside = replace(
+            result,
+            held_out_stderr=block_rms(block_errors(own, runs))[1],
+            difference=difference,
+            paired_error=paired_error,
+            p_value=p_value,
+            trust=_trust(result),
         )
-        rows.append(row)
-    return tuple(rows)
+        ordered.append(set_beside)
+    return tuple(ordered)
 
 
 def _trust(result: EstimatorResult) -> str:

@@ -82,7 +82,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
     Over whole runs, on averaged unfiltered signals, with the estimate from them alone: the other
     estimators saw other rows.
     """
-    hold, rows = comparison.results[0].model.hold, comparison.rows
+    hold, rows = comparison.first.model.hold, comparison.rows
     fitted = [r for r in comparison.results if math.isfinite(r.model.time_constant_s)]
     for result in fitted:
         if result.whole_run is None:
@@ -98,7 +98,9 @@ def trial_of(comparison: Comparison) -> TauTrial:
         )
         return replace(trial, estimates=(estimate,))
     estimates = tuple(_estimate(result, result.free_run.rms) for result in fitted)
-    powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
+    # As many powers as the classical characteristic has.
+    model = next((r for r in fitted if r.name == "classic_ml"), comparison.first).model
+    powers = [term for term in model.terms if term.startswith("phi")]
     terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
     taus = trial_taus(*(estimate.tau_s for estimate in estimates))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)

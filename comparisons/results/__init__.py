@@ -9,7 +9,6 @@ from comparisons.results.caution import Caution, texts_of
 from comparisons.results.comparison import (
     COLUMNS,
     Comparison,
-    ComparisonRow,
     EstimatorResult,
 )
 from comparisons.results.lag import FittedLag, LagModel
@@ -31,7 +30,6 @@ __all__ = [
     "Answer",
     "Caution",
     "Comparison",
-    "ComparisonRow",
     "Curve",
     "EstimatorResult",
     "FitRows",

@@ -75,6 +75,13 @@ class EstimatorResult:
         What the estimator itself warns of.
     extended : LagModel or None
         The model with its effects, where it has any; ``model`` is then its characteristic and τ.
+    held_out_stderr : float
+        Standard error of the held-out rms over the blocks.
+    difference, paired_error, p_value : float
+        Of that rms to the least one on rows of the same kind, on the same blocks, with the
+        p-value of Diebold and Mariano's test; 0 and NaN for the least one.
+    trust : str
+        What in this line of the table should not be relied on.
     """
 
     name: str
@@ -94,6 +101,11 @@ class EstimatorResult:
     whole_run: WholeRunFit | None = None
     remarks: tuple[str, ...] = ()
     extended: LagModel | None = None
+    held_out_stderr: float = math.nan
+    difference: float = math.nan
+    paired_error: float = math.nan
+    p_value: float = math.nan
+    trust: str = ""
 
     @property
     def converged(self) -> bool:
@@ -126,47 +138,15 @@ class EstimatorResult:
         return getattr(self.whole_run, "second_reading_", None)
 
     @property
+    def tau_ms(self) -> str:
+        """τ in ms, rounded to its standard error."""
+        model = self.model
+        return round_to_error(1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s)
+
+    @property
     def failed(self) -> tuple[str, ...]:
         """Names of the checks that failed."""
         return tuple(check.check for check in self.checks if not check.passed)
-
-
-@dataclass(frozen=True)
-class ComparisonRow:
-    """One line of the comparison table.
-
-    Parameters
-    ----------
-    estimator, label : str
-        Key and what people call it.
-    rank : int
-        Place in the table: 1 for the recommended estimator, where there is one; then by trust.
-    held_out_rms, held_out_stderr : float
-        Free-run error on held-out rows and its standard error over the blocks.
-    difference, paired_error : float
-        Of that rms to the least one on rows of the same kind, on the same blocks.
-    time_constant_s, time_constant_stderr_s : float
-        τ and its standard error.
-    trust : str
-        A word on what to trust in this line.
-    rows : {"filtered", "unfiltered"}
-        Which signals it was fitted to and scored on.
-    p_value : float
-        Of Diebold and Mariano's test of that difference; NaN for the least one.
-    """
-
-    estimator: str
-    label: str
-    rank: int
-    held_out_rms: float
-    held_out_stderr: float
-    difference: float
-    paired_error: float
-    time_constant_s: float
-    time_constant_stderr_s: float
-    trust: str
-    rows: str = "filtered"
-    p_value: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -180,11 +160,7 @@ class Comparison(Displayed):
     rows : FitRows
         The rows that were fitted.
     results : tuple of EstimatorResult
-        One for each estimator.
-    table : tuple of ComparisonRow
-        The recommended estimator first, then by trust.
-    valid_phi : tuple of float
-        Range of φ in which the first curve of the table can be trusted.
+        One for each estimator: the recommended one first, then by trust.
     cautions : tuple of Caution
         What a reader should know of all lines.
     quotable : tuple of str
@@ -195,8 +171,6 @@ class Comparison(Displayed):
     records: tuple[CoefficientSeries, ...]
     rows: FitRows
     results: tuple[EstimatorResult, ...]
-    table: tuple[ComparisonRow, ...]
-    valid_phi: tuple[float, float]
     cautions: tuple[Caution, ...] = ()
     quotable: tuple[str, ...] = ()
 
@@ -208,7 +182,7 @@ class Comparison(Displayed):
     @property
     def first(self) -> EstimatorResult:
         """The recommended estimator; the first of the table where none is."""
-        return self.result(self.table[0].estimator)
+        return self.results[0]
 
     @property
     def has_whole_run(self) -> bool:
@@ -240,7 +214,7 @@ class Comparison(Displayed):
         return Grid(
             f"Estimators of {SYMBOLS[self.rows.target]}",
             tuple(COLUMNS),
-            tuple(_cells(row, self.result(row.estimator)) for row in self.table),
+            tuple(_cells(rank, result) for rank, result in enumerate(self.results, start=1)),
             frozenset({1, len(COLUMNS) - 1}),
             () if self.recommended is None else ("best",),
             COLUMNS,
@@ -248,12 +222,10 @@ class Comparison(Displayed):
 
     def _sheet(self) -> Sheet:
         rows = self.first.rows
-        low, high = self.valid_phi
+        low, high = self.first.model.valid_phi
         cautions, quoted = texts_of(self.cautions), "none of these"
         if self.recommended is not None:
-            model = self.result(self.recommended).model
-            tau = round_to_error(1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s)
-            quoted = f"{tau} ms by {self.recommended}"
+            quoted = f"{self.first.tau_ms} ms by {self.recommended}"
         fields = (
             Field("records", tuple(PurePath(record.source).name for record in self.records)),
             Field(
@@ -267,14 +239,13 @@ class Comparison(Displayed):
         return Sheet(f"Comparison of {len(self.results)} estimators", fields, (self.grid(),))
 
 
-def _cells(row: ComparisonRow, result: EstimatorResult) -> tuple[str, ...]:
+def _cells(rank: int, result: EstimatorResult) -> tuple[str, ...]:
     held_out = difference = p = NOT_KNOWN
-    if math.isfinite(row.held_out_rms):
-        held_out = round_to_error(row.held_out_rms, row.held_out_stderr)
-        difference, p = difference_cells(row.difference, row.paired_error, row.p_value)
-    tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
-    interval = _interval(result.model)
-    return (str(row.rank), row.label, tau, interval, row.rows, held_out, difference, p, row.trust)
+    if result.held_out is not None and math.isfinite(result.held_out.rms):
+        held_out = round_to_error(result.held_out.rms, result.held_out_stderr)
+        difference, p = difference_cells(result.difference, result.paired_error, result.p_value)
+    about = str(rank), result.label, result.tau_ms, _interval(result.model), result.rows.kind
+    return (*about, held_out, difference, p, result.trust)
 
 
 def difference_cells(difference: float, paired_error: float, p_value: float) -> tuple[str, str]:

@@ -25,6 +25,7 @@ COMPARE_SCHEMA = "sindy-surge/compare/1"
 RUN_SCHEMA = "sindy-surge/run/1"
 WORK_SCHEMA = "sindy-surge/work/1"
 STRUCTURE_SCHEMA = "sindy-surge/structure/1"
+OF_ROW = "held_out_stderr", "difference", "paired_error", "p_value", "trust"
 OF_PATH = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
 
 
@@ -164,7 +165,19 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
         "segments_fitted": comparison.rows.n_segments,
         "recommended": comparison.recommended,
         "estimators": {result.name: _estimator(result) for result in comparison.results},
-        "comparison": [asdict(row) for row in comparison.table],
+        "comparison": [
+            {
+                "estimator": result.name,
+                "label": result.label,
+                "rank": rank,
+                "held_out_rms": result.held_out.rms if result.held_out else math.nan,
+                "time_constant_s": result.model.time_constant_s,
+                "time_constant_stderr_s": result.model.time_constant_stderr_s,
+                "rows": result.rows.kind,
+                **{name: getattr(result, name) for name in OF_ROW},
+            }
+            for rank, result in enumerate(comparison.results, start=1)
+        ],
         "cautions": [caution.text for caution in comparison.cautions],
     }
 

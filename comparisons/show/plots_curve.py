@@ -38,7 +38,7 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
     Curves with bands of ± 2 standard errors, each where the φ of its own rows dwells.
     """
     first = comparison.first
-    rows, ends = first.rows, comparison.valid_phi
+    rows, ends = first.rows, first.model.valid_phi
     scored_phi = _scored_phi(first)
     symbol = style.coefficient_symbol(rows.target, quasi_steady=True)
     called = f"quasi-steady {NAMES[rows.target].rpartition(' ')[0]} {symbol} [-]"

@@ -180,8 +180,7 @@ def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtere
     Above, the whole record with the first of the estimators that were fitted to rows of this kind;
     below, the cycles around the border to the held-out rows with all of them.
     """
-    ordered = [comparison.result(row.estimator) for row in comparison.table]
-    results = [result for result in ordered if result.rows.kind == kind]
+    results = [result for result in comparison.results if result.rows.kind == kind]
     first, rows, source = results[0], results[0].rows, comparison.records[record].source
     own = rows.record == record
     time_s, measured, held_out = rows.time_s[own], rows.measured[own], ~rows.train[own]

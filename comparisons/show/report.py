@@ -22,7 +22,7 @@ from comparisons.results import (
     Answer,
     Caution,
     Comparison,
-    ComparisonRow,
+    FittedLag,
     Reconstruction,
     Truth,
     estimator_label,
@@ -148,14 +148,14 @@ def _parts(section: ReportSection) -> tuple[Part, ...]:
 def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     """Say how far each estimator is from the truth that a simulated record was made with."""
     items = []
-    for row in fit.table:
-        model = fit.result(row.estimator).model
+    for result in fit.results:
+        model = result.model
         low, high = max(model.valid_phi[0], truth.phi[0]), min(model.valid_phi[1], truth.phi[-1])
         phi, value, _ = np.asarray(model.table).T
         known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
         curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
-        items.append(f"{row.label}: {_tau_off(row, truth)}{curve}.")
+        items.append(f"{result.label}: {_tau_off(model, truth)}{curve}.")
     return Bullets(
         tuple(items),
         "plain",
@@ -164,9 +164,9 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     )
 
 
-def _tau_off(row: ComparisonRow, truth: Truth) -> str:
-    off_ms = 1e3 * (row.time_constant_s - truth.time_constant_s)
-    stderr_ms = 1e3 * row.time_constant_stderr_s
+def _tau_off(model: FittedLag, truth: Truth) -> str:
+    off_ms = 1e3 * (model.time_constant_s - truth.time_constant_s)
+    stderr_ms = 1e3 * model.time_constant_stderr_s
     if not math.isfinite(off_ms):
         return "no τ"
     words = f"τ off by {off_ms:+.1f} ms"
@@ -203,7 +203,7 @@ def _summary_table(fit: Comparison) -> Grid:
     order = "the recommended first" if fit.recommended else "none is recommended"
     caption = f"Estimators of the {NAMES[fit.rows.target]}, {order}"
     grid = replace(fit.grid(), title=caption)
-    return _with_names(grid, ((row.label, row.estimator) for row in fit.table))
+    return _with_names(grid, ((result.label, result.name) for result in fit.results))
 
 
 def _with_names(grid: Grid, named: Iterable[tuple[str, str]]) -> Grid:
@@ -219,7 +219,7 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for fit, _ in section.fits:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
-        kinds = dict.fromkeys(fit.result(row.estimator).rows.kind for row in fit.table)
+        kinds = dict.fromkeys(result.rows.kind for result in fit.results)
         pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
         blocks += [plots_record.reconstruction(fit, i, kind) for kind, i in pairs]
     return (*blocks, *_left_out(section))
@@ -255,10 +255,9 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
 
 def _checks_table(fit: Comparison) -> Grid:
     """Return the residual checks, a row for each estimator and a column for each check."""
-    results = [fit.result(row.estimator) for row in fit.table]
-    meanings = {c.check.replace("_", " "): c.meaning for r in results for c in r.checks}
+    meanings = {c.check.replace("_", " "): c.meaning for r in fit.results for c in r.checks}
     rows = []
-    for result in results:
+    for result in fit.results:
         by_name = {check.check.replace("_", " "): check for check in result.checks}
         cells = [_check_cell(by_name.get(name)) for name in meanings]
         rows.append((f"{result.label}\n{result.name}", *cells))
@@ -313,7 +312,7 @@ def _summary_list(fit: Comparison) -> Bullets:
     """Say in words what was compared, and how it is to be read."""
     rows = fit.first.rows
     held_out = int(np.count_nonzero(~rows.train))
-    low, high = fit.valid_phi
+    low, high = fit.first.model.valid_phi
     label = fit.first.label
     items = (
         f"{rows.phi.size} rows in {counted(rows.n_segments, 'segment')} of "

@@ -42,9 +42,9 @@ def comparison_table(comparison: Comparison) -> str:
     lines = [head, rule]
     # What to trust is prose of any length: it goes below the row it belongs to, behind the name
     # that the command line knows the estimator by.
-    for start, row in zip(starts, comparison.table, strict=True):
-        chosen = " (recommended)" if row.estimator == comparison.recommended else ""
-        lines += [start, *_wrapped(f"{row.estimator}{chosen}: {row.trust}", "   ")]
+    for start, result in zip(starts, comparison.results, strict=True):
+        chosen = " (recommended)" if result.name == comparison.recommended else ""
+        lines += [start, *_wrapped(f"{result.name}{chosen}: {result.trust}", "   ")]
     cautions = texts_of(comparison.cautions)
     if cautions:
         lines.append("")

@@ -82,12 +82,11 @@ def test_all_estimators_find_the_truth_and_are_scored_on_rows_they_did_not_see(
         assert result.held_out.rms == pytest.approx(0.003, rel=0.25)
         assert result.free_run.r2 > 0.98
     assert 0.5 < comparison.rows.train.mean() < 0.8
-    assert [row.rank for row in comparison.table] == [1, 2, 3, 4]
-    least = min(comparison.table, key=lambda row: row.held_out_rms)
+    least = min(comparison.results, key=lambda result: result.held_out.rms)
     assert least.difference == 0.0
     # Without whole runs no τ is the compressor's; the fits that fail fewest checks lead.
     assert comparison.recommended is None
-    failed = [len(comparison.result(row.estimator).failed) for row in comparison.table]
+    failed = [len(result.failed) for result in comparison.results]
     assert failed == sorted(failed)
 
 

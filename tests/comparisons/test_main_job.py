@@ -148,14 +148,14 @@ def test_at_ninety_percent_speed_the_recommended_row_leads_and_is_right() -> Non
     """φ of the rows that a whole run does not score, reversed flow, is no part of its coverage."""
     comparison = compared("90")
     assert comparison.recommended == "classic_ml"
-    first, *others = comparison.table
-    assert (first.estimator, first.rank) == ("classic_ml", 1)
-    assert abs(first.time_constant_s - TAU_S) < 0.0025
+    first, *others = comparison.results
+    assert first.name == "classic_ml"
+    assert abs(first.model.time_constant_s - TAU_S) < 0.0025
     # Of the fits to filtered rows the one of the least held-out error has a τ far too long.
-    least = min(others, key=lambda row: row.held_out_rms)
+    least = min(others, key=lambda result: result.held_out.rms)
     assert least.difference == first.difference == 0.0
-    assert least.time_constant_s > 1.5 * TAU_S
-    assert first.held_out_rms < 0.5 * least.held_out_rms
+    assert least.model.time_constant_s > 1.5 * TAU_S
+    assert first.held_out.rms < 0.5 * least.held_out.rms
     (coverage,) = [
         check for check in comparison.result("classic_ml").checks if check.check == "phi_coverage"
     ]

@@ -77,8 +77,7 @@ def test_a_series_without_its_ledger_is_not_diagnosed(
 
 def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
     comparison = made_comparison()
-    name = comparison.table[0].estimator
-    tau_s = comparison.result(name).model.time_constant_s
+    name, tau_s = comparison.first.name, comparison.first.model.time_constant_s
     vague = TauReading("work", 2.0 * tau_s, 0.9 * tau_s)
     sharp = TauReading("structure", tau_s, 0.05 * tau_s)
     known = dataclasses.replace(comparison, quotable=(name,))

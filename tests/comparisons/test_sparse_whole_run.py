@@ -153,10 +153,10 @@ def test_in_a_comparison_it_stands_beside_the_classical_run(
 
 def test_each_is_scored_on_the_rows_that_it_was_fitted_to(comparison: Comparison) -> None:
     record = rig_series("985", 0)
-    kinds = {row.estimator: row.rows for row in comparison.table}
+    kinds = {result.name: result.rows.kind for result in comparison.results}
     assert kinds == {"classic_ml": "unfiltered", "sindy": "unfiltered", "paper": "filtered"}
     # A difference is one of the same rows: alone on its rows, the paper's way is the least there.
-    by_name = {row.estimator: row for row in comparison.table}
+    by_name = {result.name: result for result in comparison.results}
     assert by_name["paper"].difference == 0.0
     assert sorted(by_name[n].difference > 0.0 for n in ("classic_ml", "sindy")) == [False, True]
     rows = comparison.result("classic_ml").rows

@@ -13,7 +13,6 @@ from comparisons.harness.rows import stack_rows
 from comparisons.results import (
     Caution,
     Comparison,
-    ComparisonRow,
     EstimatorResult,
     FitRows,
     FitScore,
@@ -82,7 +81,7 @@ def made_comparison(
     rows = stack_rows(records)
     rng = np.random.default_rng(seed)
     valid_phi = trusted_range(rows.phi)
-    results, table = [], []
+    results = []
     for rank, line in enumerate(LINES, start=1):
         name, label, tau_s, tau_stderr_s, held_out_rms, difference, paired_error, trust = line
         error = 0.01 * rank * np.sin(7.0 * rows.time_s) + 0.003 * rng.standard_normal(rows.phi.size)
@@ -117,22 +116,10 @@ def made_comparison(
                 trained=rows.measured + error,
                 checks=(CheckRow("whiteness", 0.31, "<", 0.07, rank == 1, "meaning of <i>it</i>"),),
                 seconds=0.1,
+                held_out_stderr=0.1 * held_out_rms,
+                difference=difference,
+                paired_error=paired_error,
+                trust=trust,
             )
         )
-        table.append(
-            ComparisonRow(
-                name,
-                label,
-                rank,
-                held_out_rms,
-                0.1 * held_out_rms,
-                difference,
-                paired_error,
-                tau_s,
-                tau_stderr_s,
-                trust,
-            )
-        )
-    return Comparison(
-        records, rows, tuple(results), tuple(table), valid_phi, cautions, quotable=("sindy",)
-    )
+    return Comparison(records, rows, tuple(results), cautions, quotable=("sindy",))

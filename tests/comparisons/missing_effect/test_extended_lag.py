@@ -199,7 +199,7 @@ def test_beside_other_estimators_it_wins_where_its_effect_is(
     plain = [spec for spec in default_estimators(degree=3) if spec.name == "classic_ml_arx"]
     specs = (*plain, *extended_specs({"extended": models["hysteresis"]}))
     comparison = compare_records(records, degree=3, estimators=specs)
-    assert comparison.table[0].estimator == "extended"
+    assert comparison.first.name == "extended"
     result = comparison.result("extended")
     assert result.held_out is not None
     assert result.held_out.rms < 1.12 * test.sigma
