@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.harness.fit_quality import rms
-from comparisons.results import Comparison, EstimatorResult, FitRows, TauEstimate, TauTrial
+from comparisons.results import Comparison, FitRows, TauTrial
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
@@ -91,26 +91,19 @@ def trial_of(comparison: Comparison) -> TauTrial:
         every = np.ones(inputs.phi.size, dtype=np.bool_)
         signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
         averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
-        estimate = _estimate(result, float(result.whole_run.model_.residual_std_))
-        taus = trial_taus(estimate.tau_s)
+        taus = trial_taus(result.model.time_constant_s)
         trial = reconstruction_error_over_tau(
             averaged, inputs.terms, taus, hold=hold, scored=inputs.scored
         )
-        return replace(trial, estimates=(estimate,))
-    estimates = tuple(_estimate(result, result.free_run.rms) for result in fitted)
+        own_rms = float(result.whole_run.model_.residual_std_)
+        return replace(trial, estimates=((result, own_rms),))
     # As many powers as the classical characteristic has.
     model = next((r for r in fitted if r.name == "classic_ml"), comparison.first).model
     powers = [term for term in model.terms if term.startswith("phi")]
     terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
-    taus = trial_taus(*(estimate.tau_s for estimate in estimates))
+    taus = trial_taus(*(result.model.time_constant_s for result in fitted))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
-    return replace(trial, estimates=estimates)
-
-
-def _estimate(result: EstimatorResult, rms: float) -> TauEstimate:
-    model = result.model
-    tau = model.time_constant_s, model.time_constant_stderr_s
-    return TauEstimate(result.name, result.label, *tau, rms)
+    return replace(trial, estimates=tuple((result, result.free_run.rms) for result in fitted))
 
 
 def _scored(

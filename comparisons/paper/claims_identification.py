@@ -288,8 +288,7 @@ def _ramped(run: InstabilityRun) -> tuple[FitRows, FittedLag]:
 def _reconstruct(fit: FittedLag, rows: FitRows, time_constant_s: float) -> FitScore:
     """Return the fit of the deterministic part of a model with another time constant."""
     trial = replace(fit, time_constant_s=time_constant_s)
-    free = trial.free_run(rows.phi, rows.sample_period_s, rows.labels, start=rows.measured)
-    return score_fit(rows.measured, free)
+    return score_fit(rows.measured, trial.free_run_over(rows, []))
 
 
 def disturbances(runs: Instabilities) -> Findings:

@@ -19,7 +19,7 @@ from comparisons.results.reconstruction import (
     reconstruction_grids,
 )
 from comparisons.results.rows import FitRows, FitScore, Terms
-from comparisons.results.tau import TauEstimate, TauTrial, Truth
+from comparisons.results.tau import TauTrial, Truth
 from comparisons.results.terms import evaluate_terms, is_known_term
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
     "FittedLag",
     "LagModel",
     "Reconstruction",
-    "TauEstimate",
     "TauTrial",
     "Terms",
     "Truth",

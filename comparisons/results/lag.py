@@ -191,44 +191,6 @@ class FittedLag:
         grid, value, _ = np.asarray(self.table).T
         return np.asarray(np.interp(np.asarray(phi, dtype=np.float64), grid, value))
 
-    def free_run(
-        self,
-        phi: FloatArray,
-        sample_period_s: float,
-        labels: ArrayLike | None = None,
-        start: FloatArray | None = None,
-    ) -> FloatArray:
-        """Reconstruct the coefficient from φ: no measurement of it but each segment's start.
-
-        Parameters
-        ----------
-        phi : ndarray of shape (n,)
-            Measured flow coefficient.
-        sample_period_s : float
-            Sample period of φ, in seconds; need not be that of the fit.
-        labels : array-like of int, shape (n,), optional
-            Segments.
-        start : ndarray of shape (n,), optional
-            Measured coefficient; only the first row of each segment is used.
-        """
-        return self._answer(self.quasi_steady(phi), sample_period_s, labels, start)
-
-    def _answer(
-        self,
-        quasi_steady: FloatArray,
-        sample_period_s: float,
-        labels: ArrayLike | None,
-        start: FloatArray | None,
-    ) -> FloatArray:
-        out = self._late(quasi_steady, sample_period_s, labels)
-        if not math.isfinite(self.time_constant_s):
-            return out
-        begin = quasi_steady if start is None else start
-        lag = FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
-        for run in runs_of(labels, out.size):
-            out[run] = lag.respond(out[run], begin[run.start])
-        return out
-
     def free_run_over(
         self,
         rows: FitRows,
@@ -247,7 +209,12 @@ class FittedLag:
             In place of the rows' own segments.
         """
         marks = rows.labels if labels is None else labels
-        return self._answer(self._over(rows), rows.sample_period_s, marks, rows.measured)
+        out = self._late(self._over(rows), rows.sample_period_s, marks)
+        if math.isfinite(self.time_constant_s):
+            lag = FirstOrderLag(self.time_constant_s, rows.sample_period_s, self.hold)
+            for run in runs_of(marks, out.size):
+                out[run] = lag.respond(out[run], rows.measured[run.start])
+        return out
 
     def free_run_stderr(self, rows: FitRows) -> FloatArray:
         """Return the standard error of the free run over rows, of shape (n,).

@@ -4,28 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from comparisons.results.comparison import EstimatorResult
 from surge_core.types import FloatArray
-
-
-@dataclass(frozen=True)
-class TauEstimate:
-    """τ as an estimator found it.
-
-    Parameters
-    ----------
-    name, label : str
-        Key and what people call it.
-    tau_s, stderr_s : float
-        τ and its standard error, in seconds.
-    rms : float
-        Error of that estimator's own reconstruction, its curve and starts as in the comparison.
-    """
-
-    name: str
-    label: str
-    tau_s: float
-    stderr_s: float
-    rms: float
 
 
 @dataclass(frozen=True)
@@ -47,8 +27,8 @@ class TauTrial:
         The least error.
     target : {"psi_p", "psi"}
         Which coefficient it is.
-    estimates : tuple of TauEstimate
-        What estimators found on the same rows.
+    estimates : tuple of (EstimatorResult, float)
+        What was estimated on the same rows, each with the error of its own reconstruction.
     """
 
     tau_s: FloatArray
@@ -57,7 +37,7 @@ class TauTrial:
     interval_s: tuple[float, float]
     least_rms: float
     target: str
-    estimates: tuple[TauEstimate, ...] = ()
+    estimates: tuple[tuple[EstimatorResult, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -165,7 +165,10 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
     style.legend_above(figure, ax, columns=2)
-    found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
+    found = ", ".join(
+        f"{result.label} {1e3 * result.model.time_constant_s:.3g} ms"
+        for result, _ in trial.estimates
+    )
     where = (
         "the scored rows of the free run through the unfiltered signals"
         if whole_runs
@@ -242,7 +245,7 @@ def _trial_errors(ax: Axes, trial: TauTrial) -> None:
     )
     label = f"least error, at {best_ms:.3g} ms"
     ax.plot(best_ms, trial.least_rms, "v", color=style.INK, markersize=7, label=label)
-    own = [estimate.rms for estimate in trial.estimates]
+    own = [rms for _, rms in trial.estimates]
     shown = np.concatenate([trial.refitted_rms, own, [trial.least_rms]])
     bottom, top = float(np.nanmin(shown)), float(np.max(shown[np.isfinite(shown)]))
     pad = HEADROOM * (top - bottom)
@@ -251,15 +254,15 @@ def _trial_errors(ax: Axes, trial: TauTrial) -> None:
 
 def _trial_estimates(ax: Axes, trial: TauTrial) -> None:
     """Mark each estimator at its τ and its own error, with ± 2 standard errors of τ."""
-    styles = style.estimator_styles(estimate.name for estimate in trial.estimates)
-    for number, estimate in enumerate(trial.estimates):
-        tau_ms, reach_ms = 1e3 * estimate.tau_s, 1e3 * BAND * estimate.stderr_s
-        colour = styles[estimate.name].colour
+    styles = style.estimator_styles(result.name for result, _ in trial.estimates)
+    for number, (result, rms) in enumerate(trial.estimates):
+        model, colour = result.model, styles[result.name].colour
+        tau_ms, reach_ms = 1e3 * model.time_constant_s, 1e3 * BAND * model.time_constant_stderr_s
         # Open marks, so that those of one τ do not hide each other.
         ring: dict[str, Any] = {"mfc": "none", "mec": colour, "mew": 1.6, "zorder": 4}
-        label = f"{style.printable(estimate.label, 34)}, {tau_ms:.3g} ms"
-        ax.plot(tau_ms, estimate.rms, "o", **ring, markersize=5.0 + 2.5 * number, label=label)
+        label = f"{style.printable(result.label, 34)}, {tau_ms:.3g} ms"
+        ax.plot(tau_ms, rms, "o", **ring, markersize=5.0 + 2.5 * number, label=label)
         if math.isfinite(reach_ms):
             # On a logarithmic axis an interval that reaches zero has no left end.
             ends = [max(tau_ms - reach_ms, 1e-3 * tau_ms), tau_ms + reach_ms]
-            ax.plot(ends, [estimate.rms] * 2, color=colour, lw=1.6, solid_capstyle="butt")
+            ax.plot(ends, [rms] * 2, color=colour, lw=1.6, solid_capstyle="butt")

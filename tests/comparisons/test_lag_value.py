@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,19 +32,13 @@ def fitted(hold: str = "first") -> tuple[LagRegressor, FittedLag, np.ndarray, np
 def test_free_run_and_one_step_are_the_estimators_own(hold: str) -> None:
     m, value, phi, y = fitted(hold)
     labels = np.repeat([1, 2], 1000)
-    np.testing.assert_allclose(
-        value.free_run(phi, PERIOD_S, labels), m.predict(phi[:, None], labels), atol=1e-12
-    )
-    np.testing.assert_allclose(
-        value.free_run(phi, PERIOD_S, labels, start=y),
-        m.predict(phi[:, None], labels, start=y),
-        atol=1e-12,
-    )
-    step = value.one_step_over(fit_rows(phi, y, 2))
+    rows = fit_rows(phi, y, 2)
+    free = value.free_run_over(rows, [])
+    np.testing.assert_allclose(free, m.predict(phi[:, None], labels, start=y), atol=1e-12)
+    step = value.one_step_over(rows)
     a = math.exp(-PERIOD_S / value.time_constant_s)
     residual = y - step
     assert residual[0] == residual[1000] == 0.0
-    free = value.free_run(phi, PERIOD_S, labels, start=y)
     np.testing.assert_allclose(step[1], free[1], atol=1e-12)
     np.testing.assert_allclose(step[500], free[500] + a * (y[499] - free[499]), atol=1e-12)
 
@@ -54,8 +49,9 @@ def test_a_model_runs_at_another_sample_rate() -> None:
     fine = np.repeat(flow(800, rng), 4)
     fine = np.convolve(fine, np.ones(40) / 40, mode="valid")
     coarse = fine[::4]
-    at_rate = value.free_run(coarse, PERIOD_S)
-    at_four = value.free_run(fine, PERIOD_S / 4)[::4]
+    at_rate = value.free_run_over(fit_rows(coarse, coarse), [])
+    rows = replace(fit_rows(fine, fine), sample_period_s=PERIOD_S / 4)
+    at_four = value.free_run_over(rows, [])[::4]
     np.testing.assert_allclose(at_rate, at_four, atol=2e-3)
 
 
