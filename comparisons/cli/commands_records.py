@@ -378,17 +378,10 @@ STRUCTURE = Command(
     description="Run the sparse regression alone and report all it finds: terms, errors, "
     "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
     "tried. A series that carries whole unfiltered runs is fitted by one free run through "
-    "them, unless --rows or --bootstrap is given. SparseLagRegressor takes a library, "
+    "them. SparseLagRegressor takes a library, "
     "constraints and optimizers in Python.",
     arguments=(
         SERIES,
-        argument("--rows", action="store_true", help="fit the rows of the segments always"),
-        argument(
-            "--bootstrap",
-            type=whole(0, 10000),
-            metavar="N",
-            help="resampled records for the inclusion probabilities (default: 100)",
-        ),
         JSON,
         REPORT,
     ),

@@ -19,7 +19,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         begin("reading")
         records = read_records(given.series)
         begin("choosing terms")
-        found = find_structure(records, rows=given.rows, n_bootstrap=given.bootstrap)
+        found = find_structure(records)
         names = ", ".join(Path(record.source).name for record in found.records)
         title = f"Structure of the characteristic of {names}"
         begin("writing")

@@ -17,10 +17,10 @@ from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from sindy_surge import SparseLagRegressor
 from sindy_surge.text import ModelSummary
 from surge_core.display import Displayed, Field, Sheet
-from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 201
+SETTINGS: dict[str, Any] = {"hold": "first", "max_terms": 6}
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,6 @@ class FoundStructure(Displayed):
         The fitted estimator: both have a summary, an equation and a characteristic.
     records : tuple of CoefficientSeries
         What was fitted.
-    target : {"psi_p", "psi"}
-        Which coefficient was modelled.
     fitted_to : {"rows", "whole runs"}
         Rows of the segments, or one free run through each unfiltered record.
     reason : str
@@ -43,19 +41,15 @@ class FoundStructure(Displayed):
         The rows that were scored.
     n_segments : int
         Segments or runs they come from.
-    settings : dict
-        What was asked for.
     """
 
     fit: Any
     records: tuple[CoefficientSeries, ...]
-    target: str
     fitted_to: Literal["rows", "whole runs"]
     reason: str
     phi: FloatArray
     measured: FloatArray
     n_segments: int
-    settings: dict[str, Any]
 
     @property
     def refused(self) -> bool:
@@ -80,10 +74,10 @@ class FoundStructure(Displayed):
         """All fields and tables of the fit, with what its records make doubtful."""
         own: ModelSummary = self.fit.summary()
         histories = [record.history for record in self.records]
-        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
+        filtered = tau_caution(histories) if self.fitted_to == "rows" else None
         return replace(
             own,
-            name=f"Structure of {pretty_term(self.target)}_QS(φ)",
+            name="Structure of ψ'_QS(φ)",
             cautions=(*own.cautions, *([filtered.text] if filtered else [])),
         )
 
@@ -103,25 +97,14 @@ class FoundStructure(Displayed):
         return self.summary.sheet()
 
 
-def find_structure(
-    records: Sequence[CoefficientSeries],
-    *,
-    rows: bool = False,
-    max_terms: int = 6,
-    n_bootstrap: int | None = None,
-) -> FoundStructure:
+def find_structure(records: Sequence[CoefficientSeries]) -> FoundStructure:
     """Choose the terms of the lag model of ψ' by the sparse regression.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
-        One or several records at one sample rate.
-    rows : bool
-        Fit the rows of the segments even where the records carry whole unfiltered runs.
-    max_terms : int
-        The largest structure.
-    n_bootstrap : int, optional
-        See `SparseLagRegressor`; it makes the fit one of rows.
+        One or several records at one sample rate; whole unfiltered runs are fitted where all of
+        them carry one, else the rows of their segments.
 
     Returns
     -------
@@ -133,35 +116,17 @@ def find_structure(
     InputError
         When the records do not go together, or there is nothing to fit.
     """
-    given = {} if n_bootstrap is None else {"n_bootstrap": n_bootstrap}
-    settings: dict[str, Any] = {"hold": "first", "max_terms": max_terms}
-    needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
-    whole, reason = _whole_or_rows(records, needs)
-    fit: Any
-    if whole:
-        fit = fit_sparse_whole_runs(records, **settings)
-        inputs = fit.stacked()
-        scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(fit.rows_)
-    else:
-        settings |= {"optimizer": "SSR", "psi_terms": True, "random_state": 0, **given}
-        stacked = stack_rows(records)
-        fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)
-        fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
-        scored = stacked.phi, stacked.measured, stacked.n_segments
-    to: Literal["rows", "whole runs"] = "whole runs" if whole else "rows"
-    return FoundStructure(fit, tuple(records), "psi_p", to, reason, *scored, settings)
-
-
-def _whole_or_rows(records: Sequence[CoefficientSeries], needs: Sequence[str]) -> tuple[bool, str]:
-    """Decide what is fitted, with the sentence that says so."""
     carry = [has_whole_run(record) for record in records]
-    if not all(carry):
-        why = ", since not every record carries a whole run" if any(carry) else ""
-        return False, f"the rows of the segments{why}"
-    if needs:
-        return False, f"the rows of the segments, because of {' and '.join(needs)}"
-    return (
-        True,
-        "fitted in one simulation through the unfiltered record (use --rows to fit the segments "
-        "only)",
-    )
+    if all(carry):
+        whole = fit_sparse_whole_runs(records, **SETTINGS)
+        inputs = whole.stacked()
+        scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(whole.rows_)
+        reason = "fitted in one simulation through the unfiltered record"
+        return FoundStructure(whole, tuple(records), "whole runs", reason, *scored)
+    rows = stack_rows(records)
+    fit = SparseLagRegressor(rows.sample_period_s, output_name="psi_p", **SETTINGS)
+    fit.fit(rows.X, rows.measured, segments=rows.labels)
+    why = ", since not every record carries a whole run" if any(carry) else ""
+    scored = rows.phi, rows.measured, rows.n_segments
+    reason = f"the rows of the segments{why}"
+    return FoundStructure(fit, tuple(records), "rows", reason, *scored)

@@ -12,7 +12,7 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from classic_ml.work.coefficient import WorkCharacteristic
 from comparisons.analysis import Analysis
-from comparisons.harness.structure_fit import FoundStructure
+from comparisons.harness.structure_fit import SETTINGS, FoundStructure
 from comparisons.harness.work_fit import why_withheld
 from comparisons.missing_effect.document import diagnosis_document
 from comparisons.results import Comparison, EstimatorResult
@@ -122,11 +122,11 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
     return {
         "schema": STRUCTURE_SCHEMA,
         "records": [record_document(record) for record in found.records],
-        "target": found.target,
+        "target": "psi_p",
         "fitted_to": found.fitted_to,
         "rows_fitted": int(found.phi.size),
         "segments_fitted": found.n_segments,
-        "settings": found.settings,
+        "settings": SETTINGS,
         "equation": None if found.refused else found.equation(),
         "time_constant_s": tau_json(tau, error, interval95(tau, error)),
         # Null where none was looked for.
@@ -147,7 +147,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         ],
         "noise": None
         if noise is None
-        else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
+        else {"psi_p": float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
         "phi_range": [float(found.phi.min()), float(found.phi.max())] if found.phi.size else None,
         **state_json(*found.state),
         "cautions": list(summary.cautions),

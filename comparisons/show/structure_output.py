@@ -57,7 +57,7 @@ def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
 def _opening(found: FoundStructure) -> str:
     """Say what was fitted, and why that."""
     names = ", ".join(Path(record.source).name for record in found.records)
-    return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
+    return f"ψ' of {names}: {found.phi.size} rows; {found.reason}"
 
 
 def _wrapped(prose: str) -> list[str]:
@@ -70,9 +70,7 @@ def _left_out(found: FoundStructure) -> str:
     if not known:
         why = f"records are not resampled where a fit ended as {found.state[0]}"
         if found.fitted_to == "whole runs":
-            why = "the free run through whole records is not resampled (--bootstrap fits the rows)"
-        elif found.settings.get("n_bootstrap") == 0:
-            why = "no records were resampled"
+            why = "the free run through whole records is not resampled"
         return f"No inclusion probabilities: {why}."
     others = sorted(
         ((p, name) for name, p in known.items() if name not in found.fit.terms_),
@@ -89,7 +87,7 @@ def _picture(found: FoundStructure) -> Picture:
     phi, value, stderr = found.curve()
     parts = found.summary.parts
     curve = Curve(
-        found.target,
+        "psi_p",
         parts.terms,
         parts.coef,
         parts.stderr,

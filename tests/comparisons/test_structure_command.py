@@ -89,7 +89,7 @@ def test_terms_lag_and_errors_of_a_parabola_are_found(written: Path) -> None:
         assert found["noise"][name] == pytest.approx(0.02 * signals[name].std(), rel=0.2)
 
 
-def test_whole_runs_are_fitted_unless_rows_are_asked_for(
+def test_whole_runs_are_fitted_where_a_record_carries_one(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = tmp_path / "r.html"
@@ -101,10 +101,6 @@ def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     assert abs(tau["value"] - 0.018) < 0.003
     assert run_through["dead_time_s"] == {"value": None, "stderr": None}
     assert report.read_text("utf-8").count("<img") == 1
-    rows = numbers(tmp_path, whole, "--rows", "--bootstrap", 0)
-    assert rows["fitted_to"] == "rows"
-    assert "because of --rows and --bootstrap" in capsys.readouterr().out.splitlines()[0]
-    assert any("low-passed" in caution for caution in rows["cautions"])
 
 
 def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
