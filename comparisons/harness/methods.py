@@ -12,6 +12,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,13 +34,7 @@ PEERS = {
     "prediction_error": f"{_ROOM}:PredictionError",
 }
 NAN = float("nan")
-# What a method may lack; of the last three it has all or none.
-LACKING = {
-    "fit_state_": None,
-    "cautions_": (),
-    "time_constant_s_": NAN,
-    "time_constant_stderr_s_": NAN,
-}
+# What the curve of a method is known by: it has all of them or none.
 CURVE = {"terms_": (), "coef_": np.empty(0), "covariance_": np.empty((0, 0))}
 
 
@@ -92,12 +87,26 @@ class OwnMethod:
         naming = getattr(self._made(1e-3), "firm_names", None)
         return naming
 
-    def _fitted(self, rows: FitRows, _: Sequence[CoefficientSeries]) -> OwnFit:
+    def _fitted(self, rows: FitRows, _: Sequence[CoefficientSeries]) -> SimpleNamespace:
+        """Return the fitted method as an estimator: NaN and none for what it lacks."""
         made = self._made(rows.sample_period_s)
         # Copies: what it scales in place is scored as measured.
         arrays = rows.X.copy(), rows.measured.copy()
         fitted = _asked(self.name, made.fit, *arrays, segments=rows.labels.copy())
-        return OwnFit(self.name, made if fitted is None else fitted)
+        own = OwnFit(self.name, made if fitted is None else fitted)
+        has = own.estimator
+        whole = all(hasattr(has, each) for each in CURVE)
+        interval = getattr(has, "ci95_s_", None)
+        return SimpleNamespace(
+            extended_=own,
+            characteristic=own.characteristic,
+            fit_state_=getattr(has, "fit_state_", None),
+            cautions_=getattr(has, "cautions_", ()),
+            time_constant_s_=getattr(has, "time_constant_s_", NAN),
+            time_constant_stderr_s_=getattr(has, "time_constant_stderr_s_", NAN),
+            ci95_s_=None if interval is None else (float(interval[0]), float(interval[1])),
+            **{name: getattr(has, name) if whole else none for name, none in CURVE.items()},
+        )
 
     def _made(self, sample_period_s: float) -> Any:
         """Make an estimator; the sample period is passed where its class takes one."""
@@ -119,7 +128,7 @@ class OwnMethod:
 
 @dataclass(frozen=True)
 class OwnFit:
-    """A fitted method, with the attributes of an estimator: NaN and none for what it lacks.
+    """A fitted method as a model that can be run over rows.
 
     Parameters
     ----------
@@ -131,26 +140,6 @@ class OwnFit:
 
     name: str
     estimator: Any
-
-    @property
-    def extended_(self) -> OwnFit:
-        """What simulates: its own ``predict``."""
-        return self
-
-    def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the method, or what stands for one that it lacks."""
-        if name in CURVE:
-            whole = all(hasattr(self.estimator, each) for each in CURVE)
-            return getattr(self.estimator, name) if whole else CURVE[name]
-        if name in LACKING:
-            return getattr(self.estimator, name, LACKING[name])
-        raise AttributeError(name)
-
-    @property
-    def ci95_s_(self) -> tuple[float, float] | None:
-        """Its own 95 % interval of τ in s, where it states one."""
-        given = getattr(self.estimator, "ci95_s_", None)
-        return None if given is None else (float(given[0]), float(given[1]))
 
     def characteristic(self, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return its curve at φ and the error of that, of shape (n,); NaN where it has none."""
