@@ -55,7 +55,7 @@ class Grid:
 
     title: str  # What the rows are
     header: tuple[str, ...]
-    # The cells; the first of each row names it. Behind a line break a page sets small print.
+    # The cells; the first of each row names it. Small print, behind a line break, is of a page.
     rows: tuple[tuple[str, ...], ...]
     words: frozenset[int] = frozenset({0})  # Columns of words; all others are numbers
     marks: tuple[str, ...] = ()  # Of each row: "best" (to look at first), "failed" or empty
@@ -69,7 +69,7 @@ class Grid:
 
     def lines(self) -> list[str]:
         """Return head and rows as aligned text."""
-        rows = (self.header, *self.rows)
+        rows = [[cell.partition("\n")[0] for cell in row] for row in (self.header, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return [
             "  ".join(
@@ -184,7 +184,7 @@ def _html_grid(grid: Grid) -> str:
     kinds = ["" if column in grid.words else ' class="n"' for column in range(len(grid.header))]
 
     def cells(row: tuple[str, ...], tags: list[str]) -> str:
-        each = zip(tags, kinds, row, strict=True)
+        each = zip(tags, kinds, [cell.partition("\n")[0] for cell in row], strict=True)
         return "".join(f"<{tag}{kind}>{escape(cell)}</{tag[:2]}>" for tag, kind, cell in each)
 
     head = cells(grid.header, ['th scope="col"'] * len(kinds))

@@ -12,7 +12,7 @@ from classic_ml.whole_record_run import Reading
 from classic_ml.whole_run import WholeRunFit
 from comparisons.results.caution import Caution, texts_of
 from comparisons.results.lag import FittedLag, LagModel
-from comparisons.results.names import SYMBOLS
+from comparisons.results.names import SYMBOLS, named
 from comparisons.results.rows import FitRows, FitScore
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.fit_state import WITHHOLDING
@@ -244,7 +244,13 @@ def _cells(rank: int, result: EstimatorResult) -> tuple[str, ...]:
     if result.held_out is not None and math.isfinite(result.held_out.rms):
         held_out = round_to_error(result.held_out.rms, result.held_out_stderr)
         difference, p = difference_cells(result.difference, result.paired_error, result.p_value)
-    about = str(rank), result.label, result.tau_ms, _interval(result.model), result.rows.kind
+    about = (
+        str(rank),
+        named(result.label, result.name),
+        result.tau_ms,
+        _interval(result.model),
+        result.rows.kind,
+    )
     return (*about, held_out, difference, p, result.trust)
 
 

@@ -13,6 +13,11 @@ ESTIMATOR_LABELS = {
 }
 
 
+def named(label: str, name: str) -> str:
+    """Return the cell of an estimator: its label, in small print what the command line calls it."""
+    return label if label == name else f"{label}\n{name}"
+
+
 def estimator_label(name: str) -> str:
     """Return what people call an estimator, or its key where it is none of the default ones.
 

@@ -13,7 +13,7 @@ import pandas as pd
 from classic_ml.series import CoefficientSeries
 from comparisons.results.comparison import difference_cells
 from comparisons.results.lag import LagModel
-from comparisons.results.names import SYMBOLS, estimator_label
+from comparisons.results.names import SYMBOLS, estimator_label, named
 from comparisons.results.rows import FitRows, FitScore
 from surge_core.display import Grid
 from surge_core.rounding import NOT_KNOWN, significant
@@ -159,7 +159,7 @@ def reconstruction_grids(runs: Sequence[Reconstruction]) -> tuple[Grid, ...]:
     groups: dict[str, list[tuple[str, ...]]] = {}
     for run in runs:
         row = (
-            estimator_label(run.model.estimator),
+            named(estimator_label(run.model.estimator), run.model.estimator),
             run.rows.kind,
             str(run.score.n_rows),
             significant(run.score.rms, 3),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +25,10 @@ from comparisons.results import (
     FittedLag,
     Reconstruction,
     Truth,
-    estimator_label,
     reconstruction_grids,
     texts_of,
 )
-from comparisons.results.names import NAMES
+from comparisons.results.names import NAMES, named
 from comparisons.show import plots_curve, plots_record
 from comparisons.show.inspection import inspect_text
 from comparisons.show.structure_output import structure_parts
@@ -202,17 +201,7 @@ def _summary_table(fit: Comparison) -> Grid:
     """Return the comparison table, from the same fields as that of the terminal."""
     order = "the recommended first" if fit.recommended else "none is recommended"
     caption = f"Estimators of the {NAMES[fit.rows.target]}, {order}"
-    grid = replace(fit.grid(), title=caption)
-    return _with_names(grid, ((result.label, result.name) for result in fit.results))
-
-
-def _with_names(grid: Grid, named: Iterable[tuple[str, str]]) -> Grid:
-    """Print below the label of each row's estimator the name that the command line knows it by."""
-    rows = tuple(
-        tuple(f"{label}\n{name}" if cell == label != name else cell for cell in cells)
-        for cells, (label, name) in zip(grid.rows, named, strict=True)
-    )
-    return replace(grid, rows=rows)
+    return replace(fit.grid(), title=caption)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
@@ -244,9 +233,7 @@ def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
     """Return scores and pictures of models that were fitted elsewhere, a table for each record."""
     blocks: list[Block] = []
     for grid in reconstruction_grids(runs):
-        table = replace(grid, title=f"{grid.title}; nothing refitted")
-        own = [run.model.estimator for run in runs if run.title == grid.title]
-        blocks.append(_with_names(table, ((estimator_label(name), name) for name in own)))
+        blocks.append(replace(grid, title=f"{grid.title}; nothing refitted"))
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
     for run in runs:
         groups.setdefault((run.title, run.rows.kind), []).append(run)
@@ -260,7 +247,7 @@ def _checks_table(fit: Comparison) -> Grid:
     for result in fit.results:
         by_name = {check.check.replace("_", " "): check for check in result.checks}
         cells = [_check_cell(by_name.get(name)) for name in meanings]
-        rows.append((f"{result.label}\n{result.name}", *cells))
+        rows.append((named(result.label, result.name), *cells))
     caption = f"Checks of the errors, {NAMES[fit.rows.target]}; below each, statistic and limit"
     words = frozenset(range(1 + len(meanings)))
     return Grid(caption, ("estimator", *meanings), tuple(rows), words, (), meanings)
