@@ -16,13 +16,14 @@ from surge_core.terms import pretty_term
 _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 
 
-def interval95(value: float, stderr: float) -> tuple[float, float]:
+def interval95(value: float, stderr: float, quantile: float = _NORMAL_95) -> tuple[float, float]:
     """Return the 95 % interval of a value that is above zero by its nature; nan without an error.
 
-    Symmetric in its logarithm where the error is small against the value, else cut at zero.
+    Symmetric in its logarithm where the error is small against the value, else cut at zero; so wide
+    its logarithm is no longer normal either, and a bound from above is what is known.
     """
-    reach = _NORMAL_95 * stderr
-    if not math.isfinite(reach):
+    reach = quantile * stderr
+    if not math.isfinite(value + reach):
         return math.nan, math.nan
     if reach <= 0.5 * value:
         factor = math.exp(reach / value)

@@ -418,12 +418,6 @@ DISCOVER = Command(
             help="an equation that is given, such as 'phi: psi_c=1.8, psi=-1.8'; one of a "
             "measured state must hold each hidden state",
         ),
-        argument(
-            "--search",
-            choices=("full", "optimizer"),
-            default="full",
-            help="go on from what the optimizer proposes, or keep it (default: full)",
-        ),
         JSON,
         REPORT,
     ),

@@ -60,7 +60,6 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         begin("choosing terms")
         model = SparseDynamics(
             library=_library(given.library, (*states, *hidden, *inputs)),
-            search=given.search,
             hidden=hidden,
             known=dict(map(_known, given.known)),
         )

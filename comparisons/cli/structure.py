@@ -9,7 +9,7 @@ from pathlib import Path
 from comparisons.cli.output import page, read_records, write_asked
 from comparisons.harness.structure_fit import find_structure
 from comparisons.show.json_output import structure_document
-from comparisons.show.structure_output import structure_parts, structure_text
+from comparisons.show.structure_output import structure_parts
 from surge_core.progress import shown_steps
 
 
@@ -28,4 +28,4 @@ def run(given: argparse.Namespace) -> Iterable[str]:
             json=lambda: structure_document(found),
             report=lambda: page(title, [(names, structure_parts(found))]),
         )
-    return structure_text(found), *written
+    return str(found), *written

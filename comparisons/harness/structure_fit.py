@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,9 +18,13 @@ from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from sindy_surge import SparseLagRegressor
 from sindy_surge.text import ModelSummary
 from surge_core.display import Displayed, Field, Sheet
+from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 201
+# One in a hundred resampled records is no evidence for a term.
+LEAST_INCLUSION = 0.01
+QUOTE = "that of `sindy-surge compare`, which sets other estimators beside this one"
 SETTINGS: dict[str, Any] = {"hold": "first", "max_terms": 6}
 
 
@@ -91,10 +96,31 @@ class FoundStructure(Displayed):
         return (phi, *self.fit.characteristic(phi))
 
     def _sheet(self) -> Sheet:
+        """Return all that is known: what was fitted, equation, state, terms and what came close."""
+        names = ", ".join(Path(record.source).name for record in self.records)
+        fitted = Field("fitted to", f"{self.phi.size} rows; {self.reason}")
+        code, advice = self.state
         if self.refused:
-            state = ": ".join(self.state)
-            return Sheet("No structure", (Field("state", state, "advice"),))
-        return self.summary.sheet()
+            title = f"ψ' of {names}: no structure ({code})"
+            return Sheet(title, (fitted, Field("state", advice, "advice")))
+        own = self.summary.sheet()
+        others = Field("not chosen", self._left_out())
+        fields = (fitted, *own.fields, others, Field("τ to quote", QUOTE))
+        return replace(own, title=f"{own.title} of {names}", fields=fields)
+
+    def _left_out(self) -> str:
+        """Say how often terms that were not chosen came up, or why nothing is known of that."""
+        known = self.inclusion
+        if not known:
+            why = f"records are not resampled where a fit ended as {self.state[0]}"
+            if self.fitted_to == "whole runs":
+                why = "the free run through whole records is not resampled"
+            return f"no inclusion probabilities: {why}"
+        others = sorted((-p, name) for name, p in known.items() if name not in self.fit.terms_)
+        shown = [f"{pretty_term(name)} {-p:.2f}" for p, name in others if -p >= LEAST_INCLUSION]
+        if not shown:
+            return "no other term came up in a resampled record"
+        return "in some resampled records: " + ", ".join(shown)
 
 
 def find_structure(records: Sequence[CoefficientSeries]) -> FoundStructure:

@@ -14,7 +14,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
 from comparisons.results.terms import evaluate_terms, is_known_term
-from sindy_surge.text import signed_sum
+from sindy_surge.text import interval95, signed_sum
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.rounding import bracketed
 from surge_core.segments import runs_of
@@ -173,15 +173,7 @@ class FittedLag:
         """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
         if self.interval_s is not None:
             return self.interval_s
-        tau_s = self.time_constant_s
-        reach = self.quantile * self.time_constant_stderr_s
-        if not math.isfinite(reach):
-            return (math.nan, math.nan)
-        if reach > 0.5 * tau_s:
-            # So wide, log τ is no longer normal either: a bound from above is what is known.
-            return (max(0.0, tau_s - reach), tau_s + reach)
-        factor = math.exp(reach / tau_s)
-        return (tau_s / factor, tau_s * factor)
+        return interval95(self.time_constant_s, self.time_constant_stderr_s, self.quantile)
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
         """Return the characteristic at φ, of shape (n,)."""
