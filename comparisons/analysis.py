@@ -18,6 +18,7 @@ from classic_ml.work.coefficient import WorkCharacteristic
 from comparisons.harness.answer import TauReading, answer_of
 from comparisons.harness.cautions import unknown_work
 from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
 from comparisons.harness.structure_fit import FoundStructure, find_structure
 from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vague
 from comparisons.missing_effect import Diagnosis, diagnose
@@ -122,9 +123,8 @@ def analyse(
     reduction = reduce_record(record, described)
     series = [reduction.series]
     begin(next(names))
-    comparison = compare_records(
-        series, n_twins=N_TWINS if twins else 0, progress=progress, measuring=progress
-    )
+    estimators = default_estimators(n_twins=N_TWINS if twins else 0, measuring=progress)
+    comparison = compare_records(series, estimators=estimators, progress=progress)
     refusals: dict[str, str] = {}
 
     def tried(step: str, work: Callable[[], Any]) -> Any:

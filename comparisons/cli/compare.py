@@ -21,8 +21,9 @@ from comparisons.cli.output import (
 from comparisons.harness.answer import answer_of
 from comparisons.harness.cautions import psi_by_rise
 from comparisons.harness.compare import compare_records
-from comparisons.harness.estimators import EstimatorSpec, default_estimators
+from comparisons.harness.estimators import EstimatorSpec, default_estimators, psi_breakpoints
 from comparisons.harness.methods import OwnMethod
+from comparisons.harness.rows import stack_rows
 from comparisons.harness.saved_models import save_models
 from comparisons.missing_effect.extended_file import load_extended
 from comparisons.missing_effect.extended_refit import extended_specs
@@ -77,16 +78,14 @@ def _by_rise(records: Sequence[CoefficientSeries]) -> list[str]:
 def _compare(
     records: Sequence[CoefficientSeries], given: argparse.Namespace, *, fit_work: bool
 ) -> tuple[Comparison, Comparison | None]:
-    options: dict[str, Any] = {
-        "hold": given.hold,
-        "time_constant_s": given.tau,
-        "progress": fitting,
-    }
+    options: dict[str, Any] = {"hold": given.hold, "progress": fitting}
     comparison = compare_records(records, estimators=_specs(given), **options)
     if not fit_work or any(record.psi is None for record in records):
         return comparison, None
     try:
-        return comparison, compare_records(records, target="psi", **options)
+        ends = psi_breakpoints(stack_rows(records, "psi"), given.hold)
+        own = default_estimators(hold=given.hold, breakpoints=ends, time_constant_s=given.tau)
+        return comparison, compare_records(records, target="psi", estimators=own, **options)
     except InputError as error:
         print(f"ψ was not fitted: {error}", file=sys.stderr)
         return comparison, None

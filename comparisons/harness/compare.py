@@ -16,18 +16,13 @@ import numpy as np
 from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record_fit import N_TWINS
 from classic_ml.whole_run import WholeRunFit
 from comparisons.harness.cautions import (
     comparison_cautions,
     spread_speeds,
     tau_caution,
 )
-from comparisons.harness.estimators import (
-    EstimatorSpec,
-    default_estimators,
-    psi_breakpoints,
-)
+from comparisons.harness.estimators import EstimatorSpec, default_estimators, psi_breakpoints
 from comparisons.harness.fit_quality import rms, score_fit, trusted_range
 from comparisons.harness.rows import averaged_rows, stack_rows
 from comparisons.results import (
@@ -53,13 +48,9 @@ def compare_records(
     records: Sequence[CoefficientSeries],
     *,
     target: str = "psi_p",
-    degree: int = 2,
     hold: Hold = "first",
-    time_constant_s: float | None = None,
     estimators: Sequence[EstimatorSpec] | None = None,
-    n_twins: int = N_TWINS,
     progress: Progress = iter,
-    measuring: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Comparison:
     """Fit each estimator to the same rows and set them side by side.
 
@@ -69,20 +60,12 @@ def compare_records(
         One or several records at one sample rate.
     target : {"psi_p", "psi"}
         Which coefficient is modelled.
-    degree : int
-        Degree of the classical pressure characteristic.
     hold : {"zero", "first"}
         How φ acts between samples, for all estimators.
-    time_constant_s : float, optional
-        Hold τ of the classical estimators at this value, in seconds.
     estimators : sequence of EstimatorSpec, optional
-        In place of :func:`default_estimators`.
-    n_twins : int
-        Twins of each record behind the interval of ``classic_ml``.
+        What is fitted, with this hold; without it :func:`default_estimators`.
     progress : callable
         Wraps the iteration over the estimators, to show how far it is.
-    measuring : callable
-        Wraps the iteration over the twins.
 
     Raises
     ------
@@ -91,15 +74,8 @@ def compare_records(
     """
     rows = stack_rows(records, target)
     # Fixed beforehand for all fits, as in the paper; one search serves them all.
-    breakpoints = psi_breakpoints(rows, hold) if target == "psi" and not estimators else None
-    specs = estimators or default_estimators(
-        degree=degree,
-        hold=hold,
-        breakpoints=breakpoints,
-        time_constant_s=time_constant_s,
-        n_twins=n_twins,
-        measuring=measuring,
-    )
+    ends = psi_breakpoints(rows, hold) if target == "psi" and not estimators else None
+    specs = estimators or default_estimators(hold=hold, breakpoints=ends)
     averaged = averaged_rows(records, _until_s(rows, records)) if target == "psi_p" else None
     found = tuple(_run(spec, rows, averaged, records, hold) for spec in progress(specs))
     quotable = _quotable(records, found)

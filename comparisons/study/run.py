@@ -223,7 +223,7 @@ def _scores(
         spec = own.spec()
     else:
         spec = {each.name: each for each in default_estimators(**fit)}[method.name]
-    comparison = compare_records(records, estimators=[spec], **fit)
+    comparison = compare_records(records, estimators=[spec], hold=fit["hold"])
     result = comparison.results[0]
     model = result.model
     out: dict[str, Any] = {

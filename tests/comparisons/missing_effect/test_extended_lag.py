@@ -198,7 +198,7 @@ def test_beside_other_estimators_it_wins_where_its_effect_is(
     test, records = tests["hysteresis"], series_of(tests["hysteresis"])
     plain = [spec for spec in default_estimators(degree=3) if spec.name == "classic_ml_arx"]
     specs = (*plain, *extended_specs({"extended": models["hysteresis"]}))
-    comparison = compare_records(records, degree=3, estimators=specs)
+    comparison = compare_records(records, estimators=specs)
     assert comparison.first.name == "extended"
     result = comparison.result("extended")
     assert result.held_out is not None
