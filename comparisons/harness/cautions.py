@@ -191,7 +191,7 @@ def _shared_rows(results: tuple[EstimatorResult, ...]) -> list[Caution]:
 
 
 def _taus_apart(results: tuple[EstimatorResult, ...]) -> list[Caution]:
-    plain = [r for r in results if r.on_rows]
+    plain = [r for r in results if r.whole_run is None and r.extended is None]
     taus = [r.model.time_constant_s for r in plain if r.model.measured]
     if len(taus) < 2 or max(taus) <= (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
         return []

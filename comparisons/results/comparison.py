@@ -128,11 +128,6 @@ class EstimatorResult:
         return not self.converged or any(math.isfinite(value) for _, value, _ in self.model.table)
 
     @property
-    def on_rows(self) -> bool:
-        """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
-        return self.whole_run is None and self.extended is None
-
-    @property
     def second_reading(self) -> Reading | None:
         """Another reading of τ from the same records, where the two part."""
         return getattr(self.whole_run, "second_reading_", None)
@@ -183,14 +178,6 @@ class Comparison(Displayed):
     def first(self) -> EstimatorResult:
         """The recommended estimator; the first of the table where none is."""
         return self.results[0]
-
-    @property
-    def has_whole_run(self) -> bool:
-        """Whether an estimator was fitted to whole unfiltered records and not refused."""
-        return any(
-            result.whole_run is not None and math.isfinite(result.model.time_constant_s)
-            for result in self.results
-        )
 
     def result(self, name: str) -> EstimatorResult:
         """Return the result of one estimator."""

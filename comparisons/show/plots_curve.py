@@ -138,13 +138,12 @@ def curve_picture(
     )
 
 
-def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: bool) -> Picture:
+def tau_trial(trial: TauTrial, true_tau_s: float | None = None) -> Picture:
     """Draw the reconstruction error over τ with what the estimators found.
 
     Error of the free run with the curve refitted to each τ; shaded, the values of τ that are no
     worse within two paired errors; each estimator as a ring at its τ and the error of its own
-    reconstruction, with ± 2 standard errors. ``whole_runs`` says whether the error is that of the
-    free run through the unfiltered signals.
+    reconstruction, with ± 2 standard errors.
     """
     from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -171,7 +170,7 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     )
     where = (
         "the scored rows of the free run through the unfiltered signals"
-        if whole_runs
+        if any(result.whole_run is not None for result, _ in trial.estimates)
         else "the fitted rows, from each segment's own start"
     )
     return Picture(

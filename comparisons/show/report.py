@@ -226,7 +226,7 @@ def _trial(section: ReportSection) -> tuple[Block, ...]:
     if fit is None or fit.rows.target != "psi_p":
         return ()
     true_s = None if truth is None else truth.time_constant_s
-    return (plots_curve.tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
+    return (plots_curve.tau_trial(trial_of(fit), true_s),)
 
 
 def _validation(runs: Sequence[Reconstruction]) -> tuple[Block, ...]:
