@@ -13,7 +13,6 @@ from classic_ml.records import LedgerEntry, counted, ledger_grid
 from classic_ml.reduction import Reduction
 from comparisons.analysis import Analysis
 from comparisons.harness.answer import answer_of
-from comparisons.harness.cautions import tau_caution
 from comparisons.harness.tau_trial import trial_of
 from comparisons.missing_effect.report import diagnosis_parts
 from comparisons.page.blocks import Block, Bullets, Part, Summary, Words
@@ -79,10 +78,9 @@ class ReportSection:
     answer: Answer | None = None
 
     @property
-    def fits(self) -> tuple[tuple[Comparison, Truth | None], ...]:
-        """Its comparisons, each with the truth where that is known."""
-        pairs = ((self.comparison, self.truth), (self.work, None))
-        return tuple((fit, truth) for fit, truth in pairs if fit is not None)
+    def fits(self) -> tuple[Comparison, ...]:
+        """Its comparisons."""
+        return tuple(fit for fit in (self.comparison, self.work) if fit is not None)
 
     @property
     def ledgers(self) -> dict[str, tuple[LedgerEntry, ...]]:
@@ -90,7 +88,7 @@ class ReportSection:
         found: dict[str, tuple[LedgerEntry, ...]] = {}
         if self.reduction is not None:
             found[self.reduction.series.source] = self.reduction.record.history
-        records = [record for fit, _ in self.fits for record in fit.records]
+        records = [record for fit in self.fits for record in fit.records]
         for record in (*records, *(run.record for run in self.validation)):
             found.setdefault(record.source, record.history)
         return found
@@ -102,15 +100,17 @@ def report_pages(sections: Sequence[ReportSection]) -> list[tuple[str, tuple[Par
 
 
 def _parts(section: ReportSection) -> tuple[Part, ...]:
-    fits = [fit for fit, _ in section.fits]
-    answer = section.answer
+    fits, truth, answer = section.fits, section.truth, section.answer
     if answer is None and section.comparison is not None:
         answer = answer_of(section.comparison)
     evidence = (
-        *_tau_words(fits, list(section.ledgers.values())),
+        *_tau_words(fits),
         *map(_summary_table, fits),
-        *(truth_list(fit, truth) for fit, truth in section.fits if truth is not None),
-        *(plots_curve.characteristics(fit, truth) for fit, truth in section.fits),
+        *([truth_list(fits[0], truth)] if truth is not None and section.comparison else []),
+        *(
+            plots_curve.characteristics(fit, truth if fit is section.comparison else None)
+            for fit in fits
+        ),
         *_reconstructions(section),
         *_trial(section),
         *map(plots_record.errors_in_time, fits),
@@ -185,16 +185,10 @@ def _answer_part(answer: Answer, truth: Truth | None) -> Part:
     return Part("", (Summary(answer.test, tuple(items), picture),))
 
 
-def _tau_words(
-    fits: Sequence[Comparison], histories: Sequence[Sequence[LedgerEntry]]
-) -> tuple[Words, ...]:
-    """Say what τ can be trusted for, where the ledger shows a low-pass before the flow equation."""
-    target = "psi_p" if any(fit.rows.target == "psi_p" for fit in fits) else "psi"
-    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
-    caution = tau_caution(histories, target=target, quotable=whole)
-    if caution is None:
-        return ()
-    return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
+def _tau_words(fits: Sequence[Comparison]) -> list[Words]:
+    """Say what τ can be trusted for, where a ledger shows a low-pass before the flow equation."""
+    said = [c.text for fit in fits for c in fit.cautions if c.code in SAID_ELSEWHERE]
+    return [Words(text[0].upper() + text[1:], "caution") for text in said[:1]]
 
 
 def _summary_table(fit: Comparison) -> Grid:
@@ -206,7 +200,7 @@ def _summary_table(fit: Comparison) -> Grid:
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
     blocks: list[Block] = []
-    for fit, _ in section.fits:
+    for fit in section.fits:
         drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
         kinds = dict.fromkeys(result.rows.kind for result in fit.results)
         pairs = [(kind, i) for i in drawn[:RECORDS_DRAWN] for kind in kinds]
@@ -215,7 +209,7 @@ def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
 
 
 def _left_out(section: ReportSection) -> list[Words]:
-    n = len(section.fits[0][0].records) if section.fits else 0
+    n = len(section.fits[0].records) if section.fits else 0
     if n <= RECORDS_DRAWN:
         return []
     return [Words(f"The first {RECORDS_DRAWN} of {n} records are drawn; all were fitted.")]
@@ -264,7 +258,7 @@ def _check_cell(check: CheckRow | None) -> str:
 def _cautions(section: ReportSection) -> tuple[Bullets, ...]:
     """List the cautions of the comparisons, or those of the ledger where nothing was fitted."""
     found: list[str] = []
-    for fit, _ in section.fits:
+    for fit in section.fits:
         # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
         sources = tuple(f"{record.source}: " for record in fit.records)
         for caution in texts_of(each for each in fit.cautions if each.code not in SAID_ELSEWHERE):
@@ -289,7 +283,7 @@ def _record_pictures(section: ReportSection) -> tuple[Block, ...]:
         return plots_record.operating_points(reduction), plots_record.surge_cycles(reduction)
     pictures = tuple(
         plots_record.loops(series, fit.rows.target)
-        for fit, _ in section.fits
+        for fit in section.fits
         for series in fit.records[:RECORDS_DRAWN]
     )
     return (*pictures, *_left_out(section))
