@@ -27,6 +27,8 @@ from surge_core.types import FloatArray, IntArray
 
 # C keeps its root inside the circle, or the filter that whitens runs away.
 LARGEST_C = 0.999
+# Of the polynomials in ψ' and φ, the terms that FROLS chooses, and the network's one hidden layer.
+DEGREE, CHOSEN_TERMS, HIDDEN_UNITS = 2, 8, 16
 # A simulation that runs off stays finite, and is scored as what it is.
 FARTHEST = 1e3
 
@@ -96,30 +98,18 @@ class _Narx(_Simulated):
 
 
 class NarxNetwork(_Narx):
-    """A NARX network: scikit-learn's MLPRegressor on two lags of ψ' and φ, run freely.
-
-    Parameters
-    ----------
-    hidden : int
-        Units of its one hidden layer.
-    seed : int
-        Of its start.
-    """
-
-    def __init__(self, hidden: int = 16, seed: int = 0) -> None:
-        self.hidden = hidden
-        self.seed = seed
+    """A NARX network: scikit-learn's MLPRegressor on two lags of ψ' and φ, run freely."""
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
         self.level_ = float(np.mean(target))
         network = MLPRegressor(
-            hidden_layer_sizes=(self.hidden,),
+            hidden_layer_sizes=(HIDDEN_UNITS,),
             activation="tanh",
             solver="lbfgs",
             max_iter=500,
-            random_state=self.seed,
+            random_state=0,
         )
         scaled = make_pipeline(StandardScaler(), network)
         self.model_ = TransformedTargetRegressor(scaled, transformer=StandardScaler())
@@ -134,17 +124,9 @@ class NarxNetwork(_Narx):
 
 
 class Frols(_Narx):
-    """Polynomial NARX by forward regression: sysidentpy's FROLS chooses, least squares fits.
+    """Polynomial NARX by forward regression: sysidentpy's FROLS chooses, least squares fits."""
 
-    Parameters
-    ----------
-    degree : int
-        Of the polynomials in two lags of ψ' and φ.
-    n_terms : int
-        How many it chooses.
-    """
-
-    def __init__(self, degree: int = 2, n_terms: int = 8) -> None:
+    def __init__(self) -> None:
         if find_spec("sysidentpy") is None:
             raise InputError(
                 "package sysidentpy",
@@ -152,8 +134,6 @@ class Frols(_Narx):
                 found="no module sysidentpy",
                 remedy='pip install "sindy-surge[peers]", or leave that --method out',
             )
-        self.degree = degree
-        self.n_terms = n_terms
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,)."""
@@ -161,13 +141,13 @@ class Frols(_Narx):
 
         inputs, target, _ = _lagged(X[:, 0], y, segments, self.lags)
         self.level_ = float(np.mean(target))
-        self.features_ = PolynomialFeatures(self.degree).fit(inputs)
+        self.features_ = PolynomialFeatures(DEGREE).fit(inputs)
         columns = self.features_.transform(inputs)
         # On the rows themselves: its own lags would cross the seams between segments.
-        chooser = FROLS(n_terms=self.n_terms, order_selection=False)
+        chooser = FROLS(n_terms=CHOSEN_TERMS, order_selection=False)
         # It leaves out the first rows of the target, which its own lags would need.
         padded = np.concatenate([np.zeros(chooser.max_lag), target])[:, None]
-        chosen = chooser.error_reduction_ratio(columns, padded, self.n_terms)[1]
+        chosen = chooser.error_reduction_ratio(columns, padded, CHOSEN_TERMS)[1]
         self.chosen_ = np.asarray(chosen, dtype=np.int64)
         self.weights_ = np.linalg.lstsq(columns[:, self.chosen_], target)[0]
         return self
@@ -184,15 +164,12 @@ class PlainPysindy(_Simulated):
     ----------
     sample_period_s : float
         Sample period in s.
-    degree : int
-        Of the polynomials.
     threshold : float
         Of STLSQ, on normalised columns.
     """
 
-    def __init__(self, sample_period_s: float, degree: int = 2, threshold: float = 1.0) -> None:
+    def __init__(self, sample_period_s: float, threshold: float = 1.0) -> None:
         self.sample_period_s = sample_period_s
-        self.degree = degree
         self.threshold = threshold
 
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
@@ -202,7 +179,7 @@ class PlainPysindy(_Simulated):
             smoother_kws={"window_length": 11, "polyorder": 3}
         )
         optimizer = pysindy.STLSQ(threshold=self.threshold, normalize_columns=True)
-        model = pysindy.SINDy(optimizer, pysindy.PolynomialLibrary(self.degree), differences)
+        model = pysindy.SINDy(optimizer, pysindy.PolynomialLibrary(DEGREE), differences)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model.fit([y[r, None] for r in runs], t=self.sample_period_s, u=[X[r] for r in runs])
