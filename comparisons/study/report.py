@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from comparisons.page.blocks import Bullets, Part, Words
 from comparisons.page.html import render_page
-from comparisons.study.comparison import COLUMNS, compare_methods
+from comparisons.study.comparison import compare_methods
 from comparisons.study.spec import StudySpec
 from surge_core.display import Grid
 
