@@ -35,8 +35,6 @@ HERE = Path(__file__).resolve().parent
 BLOCKS = ("ml", "sparse", "diagnosis", "reduction")
 OWN_FIT = "LagRegressor"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-# Noise of the records of the sparse fit, as a share of each signal.
-LEVELS = (0.01, 0.02, 0.05)
 Row = dict[str, Any]
 
 
@@ -138,15 +136,14 @@ def _fitted_by(
 
 def sparse_rows(options: argparse.Namespace) -> list[Row]:
     """Recover structures in white noise, beside pysindy at the best threshold in hindsight."""
-    from plain_pysindy import DERIVATIVES, fit_once, in_hindsight, make_model
-    from surge_truths import PERIOD_S, TAU_S, TRUTHS, canonical, simulate_record, tau_bound
+    from plain_pysindy import DERIVATIVES, fit_once, make_model, plain_pysindy
+    from structure_recovery import LEVELS, MAIN_TRUTHS, same_structure, warm_up
+    from surge_truths import PERIOD_S, TAU_S, TRUTHS, simulate_record, tau_bound
 
     from sindy_surge import SparseLagRegressor
 
-    # Imports and compilation, outside every time taken.
-    early = simulate_record("quadratic", 0.02, 0, 400).measured
-    SparseLagRegressor(PERIOD_S).fit(early.phi[:, None], early.psi_p)
-    cases = [(truth, noise) for truth in TRUTHS for noise in LEVELS]
+    warm_up()
+    cases = [(truth, noise) for truth in MAIN_TRUTHS for noise in LEVELS]
     cases = cases[1:2] if options.quick else cases
     first, count = 300, options.seeds or (1 if options.quick else 6)
     own = "SparseLagRegressor"
@@ -158,13 +155,14 @@ def sparse_rows(options: argparse.Namespace) -> list[Row]:
             phi, psi_p = made.measured.phi[:, None], made.measured.psi_p
             base = {"bound": bound.stderr_s, "one_step": bound.one_step_s}
             model, seconds = timed(SparseLagRegressor(PERIOD_S).fit, phi, psi_p)
-            right, off = canonical(model.terms_) == canonical(terms), model.time_constant_s_ - TAU_S
+            right, off = same_structure(model.terms_, terms), model.time_constant_s_ - TAU_S
             trials.append({**base, "what": own, "right": right, "off": off, "s": seconds})
+            swept = plain_pysindy(made.measured, terms)
             for name in DERIVATIVES:
-                one, names = make_model(name)
+                one, _ = make_model(name, False)
                 _, seconds = timed(fit_once, one, made.measured)
-                right, tau_s = in_hindsight(one, names, made.measured, terms)
-                off, what = tau_s - TAU_S, f"pysindy {name}, best threshold in hindsight"
+                right, off = bool(swept[name]["right"]), swept[name]["tau_s"] - TAU_S
+                what = f"pysindy {name}, best threshold in hindsight"
                 trials.append({**base, "what": what, "right": right, "off": off, "s": seconds})
     table = pd.DataFrame(trials)
     own_s = table[table["what"] == own]["s"].to_numpy()

@@ -1,7 +1,7 @@
 """Surge records with a known truth for the benchmarks, made by numpy and scipy alone.
 
-φ is a relaxation oscillation that wanders between 5 and 7 Hz; ψ' obeys τ dψ'/dt + ψ' = F(φ) and is
-simulated at eight times the sample rate. Noise is given as a share of each signal's standard
+φ is a relaxation oscillation that wanders between 5 and 7 Hz; ψ' obeys τ dψ'/dt + ψ' = F(φ, ψ') and
+is simulated at eight times the sample rate. Noise is given as a share of each signal's standard
 deviation and is on both channels. No two records share a random number.
 """
 
@@ -25,26 +25,36 @@ FINER = 8
 # Damping of the Van der Pol oscillation, and its period in its own time.
 _MU, _PERIOD = 3.0, 8.859
 _LEAD_S = 0.5
-# The knot of the hinge, and how near to it one is right.
-KNOT, KNOT_TOLERANCE = 0.3, 0.005
+# In stall below this flow; shorter pieces are left out.
+_STALL_PHI = 0.27
+_SHORTEST_PIECE = 30
 # Of φ, for the slope of a characteristic.
 _STEP = 1e-6
 
-# Coefficients of ψ'_QS by the names of the terms.
+# Coefficients of ψ'_QS and of what depends on ψ' itself, by the names of the terms.
 TRUTHS: dict[str, dict[str, float]] = {
     "quadratic": {"1": 0.35, "phi": 1.2, "phi^2": -1.9},
     "cubic": {"1": 0.30, "phi": 0.5, "phi^2": 3.0, "phi^3": -7.0},
     "hinge": {"1": 0.35, "phi": 0.8, "relu(phi-0.3)": -1.6},
     "reverse": {"1": 0.35, "phi": 1.2, "phi^2": -1.9, "phi^2[phi<0]": 20.0},
+    # Moore & Greitzer (1986): H (1 + 1.5 (φ/W - 1) - 0.5 (φ/W - 1)³) with W = 0.25, H = 0.09.
+    "Moore-Greitzer": {"1": 0.30, "phi^2": 4.32, "phi^3": -5.76},
+    "hinge at 0.27": {"1": 0.35, "phi": 0.8, "relu(phi-0.27)": -1.6},
+    "with psi'^2": {"1": 0.35, "phi": 1.2, "phi^2": -1.9, "psi_p^2": -1.5},
+    "with psi' phi": {"1": 0.35, "phi": 1.2, "phi^2": -1.9, "psi_p phi": 0.8},
 }
 
 
 @dataclass(frozen=True)
 class Record:
-    """One record: measured φ and ψ'."""
+    """One record: measured φ and ψ', and the number of the in-stall piece of each row.
+
+    One in one piece has no numbers.
+    """
 
     phi: FloatArray
     psi_p: FloatArray
+    labels: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -56,21 +66,38 @@ class Simulated:
     psi_p: FloatArray
 
 
-def simulate_record(truth: str, noise: float, seed: int, n_samples: int = 5000) -> Simulated:
+def simulate_record(
+    truth: str,
+    noise: float,
+    seed: int,
+    n_samples: int = 5000,
+    *,
+    colour: float = 0.0,
+    late: int = 0,
+    pieces: bool = False,
+) -> Simulated:
     """Simulate and measure one record at 1 kHz, and keep its truth.
 
-    Its random numbers depend on every argument; the noise is a share of each signal's standard
-    deviation.
+    Its random numbers depend on the seed and on every other argument: the noise as a share of each
+    signal's standard deviation; its colour, the coefficient of a first-order autoregression; the
+    samples by which ψ' is measured too late; and whether the in-stall pieces alone are kept, cut to
+    unequal lengths.
     """
-    key = f"{truth}|{noise}|{n_samples}|0.0|0|False"
+    key = f"{truth}|{noise}|{n_samples}|{colour}|{late}|{pieces}"
     rng = np.random.default_rng([seed, zlib.crc32(key.encode())])
-    n_fine = FINER * n_samples
+    n_fine = FINER * (n_samples + late)
     fine = relaxation_wave(n_fine, PERIOD_S / FINER, rng)
-    phi = fine[-n_fine:][::FINER]
-    psi_p = response(TRUTHS[truth], fine, PERIOD_S / FINER)[-n_fine:][::FINER]
-    off = [rng.standard_normal(n_samples + 200)[200:] for _ in range(2)]
-    measured = Record(phi + noise * phi.std() * off[0], psi_p + noise * psi_p.std() * off[1])
-    return Simulated(measured, phi, psi_p)
+    pressure = response(TRUTHS[truth], fine, PERIOD_S / FINER)[-n_fine:]
+    clean_phi = fine[-n_fine:][FINER * late :: FINER]
+    clean_psi_p = pressure[: FINER * n_samples : FINER]
+    phi = clean_phi + noise * clean_phi.std() * _noise(n_samples, colour, rng)
+    psi_p = clean_psi_p + noise * clean_psi_p.std() * _noise(n_samples, colour, rng)
+    measured = Record(phi, psi_p)
+    if pieces:
+        labels = _in_stall(clean_phi, rng)
+        inside = labels > 0
+        measured = Record(phi[inside], psi_p[inside], labels[inside])
+    return Simulated(measured, clean_phi, clean_psi_p)
 
 
 def relaxation_wave(n: int, step_s: float, rng: np.random.Generator) -> FloatArray:
@@ -89,9 +116,13 @@ def relaxation_wave(n: int, step_s: float, rng: np.random.Generator) -> FloatArr
 
 
 def response(terms: dict[str, float], phi: FloatArray, step_s: float) -> FloatArray:
-    """Return ψ' from τ dψ'/dt + ψ' = Σ β s(φ) for φ joined by straight lines."""
+    """Return ψ' from τ dψ'/dt + ψ' = Σ β s(φ, ψ') for φ joined by straight lines."""
+    curve = {name: value for name, value in terms.items() if "psi_p" not in name}
+    rest = {name: value for name, value in terms.items() if "psi_p" in name}
+    if rest:
+        return _runge_kutta(curve, rest, phi, step_s)
     # Exact for straight lines between the steps of the forcing, of which there are 144 in a lag.
-    forcing = characteristic(terms, phi)
+    forcing = characteristic(curve, phi)
     pole = np.exp(-step_s / TAU_S)
     ratio = (1 - pole) * TAU_S / step_s
     drive = (1 - ratio) * forcing[1:] + (ratio - pole) * forcing[:-1]
@@ -100,7 +131,7 @@ def response(terms: dict[str, float], phi: FloatArray, step_s: float) -> FloatAr
 
 
 def characteristic(terms: dict[str, float], phi: FloatArray) -> FloatArray:
-    """Return Σ β s(φ)."""
+    """Return Σ β s(φ) of terms that do not depend on ψ'."""
     total = np.zeros_like(phi)
     for name, value in terms.items():
         if name == "phi^2[phi<0]":
@@ -113,25 +144,68 @@ def characteristic(terms: dict[str, float], phi: FloatArray) -> FloatArray:
     return total
 
 
+def _runge_kutta(
+    curve: dict[str, float], rest: dict[str, float], phi: FloatArray, step_s: float
+) -> FloatArray:
+    """Integrate by the classical rule of fourth order, one step between two values of φ."""
+    square, product = rest.get("psi_p^2", 0.0), rest.get("psi_p phi", 0.0)
+    h = step_s / TAU_S
+    middle = (phi[1:] + phi[:-1]) / 2
+    ends, between = characteristic(curve, phi).tolist(), characteristic(curve, middle).tolist()
+    flow, flow_between = phi.tolist(), middle.tolist()
+    y = ends[0]
+    states = [y]
+    for i, (f, p) in enumerate(zip(between, flow_between, strict=True)):
+        k1 = ends[i] + (square * y + product * flow[i] - 1) * y
+        z = y + h / 2 * k1
+        k2 = f + (square * z + product * p - 1) * z
+        z = y + h / 2 * k2
+        k3 = f + (square * z + product * p - 1) * z
+        z = y + h * k3
+        k4 = ends[i + 1] + (square * z + product * flow[i + 1] - 1) * z
+        y += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        states.append(y)
+    return np.array(states)
+
+
+def _noise(n: int, colour: float, rng: np.random.Generator) -> FloatArray:
+    """Return noise of unit variance, white or of first order."""
+    white = rng.standard_normal(n + 200)
+    coloured: FloatArray = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], white)[200:]
+    return coloured
+
+
+def _in_stall(phi: FloatArray, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Label the pieces below the stalling flow 1, 2, ..., each cut short by up to a third."""
+    inside = np.concatenate(([0], (phi < _STALL_PHI).astype(int), [0]))
+    edges = np.flatnonzero(np.diff(inside))
+    labels = np.zeros(phi.size, dtype=np.int64)
+    number = 0
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        first = start + int(rng.integers(0, (stop - start) // 3 + 1))
+        if stop - first >= _SHORTEST_PIECE:
+            number += 1
+            labels[first:stop] = number
+    return labels
+
+
 def canonical(names: Iterable[str]) -> frozenset[str]:
     """Return a structure as a set of names in which equal models are equal.
 
-    φ|φ| = φ² - 2 φ²[φ<0], so that any two of these three span the same model; a hinge within a
-    tenth of the library's step is the one at the nearest true knot.
+    φ|φ| = φ² - 2 φ²[φ<0], so that any two of these three span the same model; and a product is the
+    same in either order.
     """
-    terms = {_snapped(name.replace("psi'", "psi_p")) for name in names}
+    terms = {" ".join(sorted(_plain(name).split(), reverse=True)) for name in names}
     aliases = {"phi^2", "phi^2[phi<0]", "phi|phi|"}
     if len(terms & aliases) >= 2:
         terms = (terms - aliases) | {"phi^2", "phi^2[phi<0]"}
     return frozenset(terms)
 
 
-def _snapped(name: str) -> str:
+def _plain(name: str) -> str:
     for other in ("|phi|phi", "|phi| phi", "phi |phi|"):
         name = name.replace(other, "phi|phi|")
-    if name.startswith("relu(phi-") and abs(float(name[9:-1]) - KNOT) <= KNOT_TOLERANCE:
-        return f"relu(phi-{KNOT:g})"
-    return name
+    return name.replace("psi'", "psi_p").replace("*", " ")
 
 
 class TauBound(NamedTuple):
@@ -153,7 +227,7 @@ def tau_bound(terms: dict[str, float], made: Simulated, noise: float) -> TauBoun
     With white noise on ψ' and on φ, and every true φ[k] unknown, the information on (τ, β) is
     J' S⁻¹ J: J is the slope of this equation's error, S its covariance when both noises are put in.
     That this is the information with all φ[k] as nuisance parameters is Woodbury's identity. The
-    terms are those of the truth.
+    terms are those of the truth, without any in ψ', and the record is in one piece.
     """
     p = np.exp(-PERIOD_S / TAU_S)
     ratio = (1.0 - p) * TAU_S / PERIOD_S
