@@ -22,7 +22,7 @@ from comparisons.harness.saved_models import (
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.extended_lag import AddedEffect, ExtendedLag
+from comparisons.missing_effect.extended_lag import MOST_EFFECTS, AddedEffect, ExtendedLag
 from comparisons.missing_effect.lag_data import FrozenReferences
 from comparisons.missing_effect.ports import n_powers
 from comparisons.results import FittedLag, is_known_term
@@ -32,8 +32,6 @@ EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
 EXTENDED_FORMAT = ModelFormat(
     EXTENDED_SCHEMA, "a file of a lag model with effects,", "sindy-surge diagnose --save"
 )
-# Three effects beside one lag are as many as records of one test have ever separated.
-MOST_EFFECTS = 3
 
 
 def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:

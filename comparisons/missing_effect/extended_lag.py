@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.lag_data import FrozenReferences, LagData
@@ -24,6 +26,8 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 CHANNELS = ("T25_K", "Nc_frac")
 # What the file of a plain lag says beside what a lag with effects has.
 OF_PLAIN_LAGS = ("dead_time_s", "covariance", "rows", "free_run_rms")
+# Three effects beside one lag are as many as records of one test have ever separated.
+MOST_EFFECTS = 3
 # The start of a lag of second order is read from so many of its short times, and rows at least.
 START_TIMES = 2.0
 LEAST_START_ROWS = 4
@@ -53,6 +57,11 @@ class AddedEffect:
     def name(self) -> str:
         """Its identifier."""
         return self.effect.name
+
+    @property
+    def fitted(self) -> bool:
+        """Whether its numbers come from a fit; one that was only added does nothing."""
+        return bool(np.all(np.isfinite(self.values)))
 
     @property
     def nonlinear(self) -> FloatArray:
@@ -127,6 +136,28 @@ class ExtendedLag:
         """Return the model under another name."""
         return replace(self, lag=replace(self.lag, estimator=name))
 
+    def with_effect(self, effect: Effect | str) -> ExtendedLag:
+        """Return the model with one effect more, which acts once the model is refitted.
+
+        Parameters
+        ----------
+        effect : Effect or str
+            An effect of one's own, or the name of one of the built-in catalogue.
+
+        Raises
+        ------
+        InputError
+            For a name that is unknown, and for an effect that is there already, acts on no port
+            of a model, or would be the fourth.
+        """
+        found = find_effect(effect) if isinstance(effect, str) else effect
+        there = {added.name for added in self.effects}
+        if found.port == "noise" or found.name in there or len(there) == MOST_EFFECTS:
+            expected = f"one on a port of the model that it lacks, and at most {MOST_EFFECTS} in it"
+            raise InputError("effect", expected=expected, found=found.name)
+        unknown = (math.nan,) * len(found.parameters)
+        return replace(self, effects=(*self.effects, AddedEffect(found, unknown, unknown)))
+
     def simulate(self, record: CoefficientSeries, labels: ArrayLike | None = None) -> FloatArray:
         """Reconstruct ψ' of a record from its φ; nothing is refitted.
 
@@ -171,7 +202,7 @@ class ExtendedLag:
 
     def _on(self, record: CoefficientSeries) -> tuple[LagData, Fit]:
         """Return a record as rows, in the references of the model, and the model on them."""
-        acting = [added for added in self.effects if not added.effect.episodes]
+        acting = [one for one in self.effects if one.fitted and not one.effect.episodes]
         for added in acting:
             needed = added.effect.needs
             if needed in CHANNELS and getattr(record, needed) is None:

@@ -77,7 +77,7 @@ def refitted(
     plain = Metric(model.noise_sigma)
     # The frequency of a ripple is known to one part in the length of a record, and beyond that a
     # search that begins beside it finds another line.
-    known = [added for added in model.effects if not added.effect.episodes]
+    known = [added for added in model.effects if added.fitted and not added.effect.episodes]
     structure = Structure(model.lag.terms, tuple(added.effect for added in known))
     start = [np.log([model.time_constant_s]), *(added.nonlinear for added in known)]
     fit = refitted_on(Fit(structure, np.concatenate(start)), data, plain)

@@ -21,7 +21,6 @@ from comparisons.harness.estimators import default_estimators
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.extended_file import (
     load_extended,
     save_extended,
@@ -31,7 +30,6 @@ from comparisons.missing_effect.extended_refit import extended_specs, model_of, 
 from comparisons.missing_effect.fit import Structure, fit_structure
 from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric
-from comparisons.missing_effect.probes import Prober
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 from surge_core.errors import InputError
 
@@ -46,16 +44,12 @@ ADDED = {
 }
 
 
-def lag_with(effect: str | None, records: list[CoefficientSeries]) -> ExtendedLag:
-    """Fit the lag to all rows, alone or with an effect by name; no search involved."""
+def plain_lag(records: list[CoefficientSeries]) -> ExtendedLag:
+    """Fit the lag alone to all rows; effects are then added to it by name, no search involved."""
     data = load_data(records)
     everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
     metric = Metric(0.01 * float(np.std(data.measured)))
     fit = fit_structure(Structure(TERMS), everything, metric, [np.array([np.log(0.1)])])
-    if effect is not None:
-        found = Prober(fit, everything, metric).fitted(find_effect(effect))
-        assert found is not None
-        fit = found
     return model_of(fit, Bench(everything, fit, metric, block_rows(data), 1))
 
 
@@ -72,7 +66,7 @@ def models(tests: dict[str, CoefficientTest]) -> dict[str, ExtendedLag]:
     out = {}
     for name, test in tests.items():
         records = series_of(test)[:2]
-        out[name] = refitted(lag_with(name, records), records)
+        out[name] = refitted(plain_lag(records).with_effect(name), records)
     return out
 
 
@@ -90,7 +84,7 @@ def test_read_back_it_leaves_on_an_unseen_record_noise_and_the_lag_alone_more(
     again = load_extended(tmp_path / "model.json")[name]
     assert again == models[name]
     with_it = reconstruct_record(again, unseen)
-    without = reconstruct_record(lag_with(None, records[:2]), unseen)
+    without = reconstruct_record(plain_lag(records[:2]), unseen)
     # Beyond the φ that was fitted a free shape is a guess; else the noise of one row stays in the
     # first rows of each segment.
     shape = name == "characteristic_shape"
@@ -113,7 +107,7 @@ def test_adding_an_effect_and_fitting_again_recovers_it_within_its_errors(
     for seed in range(5):
         test = simulate_test(name, strength=1.5, seed=seed, n_samples=600)
         records = series_of(test)
-        model = refitted(lag_with(name, records), records)
+        model = refitted(plain_lag(records).with_effect(name), records)
         (added,) = model.effects
         z.append((added.values[0] - test.effects[name][parameter]) / added.stderr[0])
         z.append((model.time_constant_s - test.tau_s) / model.lag.time_constant_stderr_s)
@@ -124,7 +118,7 @@ def test_adding_an_effect_and_fitting_again_recovers_it_within_its_errors(
 
 def test_a_wrong_start_dies_away_with_the_lag() -> None:
     record = series_of(simulate_test(None, seed=1, n_samples=400))[0]
-    model = lag_with(None, [record])
+    model = plain_lag([record])
     off = record.psi_p.copy()
     off[0] += 0.5
     difference = model.simulate(replace(record, psi_p=off)) - model.simulate(record)
@@ -136,7 +130,7 @@ def test_a_wrong_start_dies_away_with_the_lag() -> None:
 def test_a_drift_counts_from_the_clock_of_the_fit_and_not_of_the_record(name: str) -> None:
     test = simulate_test(name, strength=3.0, seed=4, n_samples=900)
     records = series_of(test)
-    model = refitted(lag_with(name, records), records)
+    model = refitted(plain_lag(records).with_effect(name), records)
     whole = records[2]
     # The last third of a record, by itself: its own clock starts at its own first row.
     cut = slice(600, 900)
