@@ -36,6 +36,7 @@ from surge_core.files import to_strict_json
 PARTS = ("effects", "nulls", "outside", "pairs")
 STRENGTHS = (0.5, 1.5, 3.0)
 PAIR_STRENGTH = 2.0
+SAVE_EVERY_ROWS = 50
 DEGREE = 3
 
 
@@ -170,6 +171,8 @@ def main() -> None:
             rows.append(row)
             if sys.stderr.isatty():
                 print(f"\r{len(rows)}/{len(cases)} ", end="", file=sys.stderr)
+            if options.json is not None and len(rows) % SAVE_EVERY_ROWS == 0:
+                options.json.write_text(to_strict_json(rows), "utf-8")
     if options.json is not None:
         options.json.write_text(to_strict_json(rows), "utf-8")
     print(report(rows))

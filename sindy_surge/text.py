@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from surge_core.display import Field, Grid, Sheet
@@ -19,8 +19,8 @@ _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 def interval95(value: float, stderr: float, quantile: float = _NORMAL_95) -> tuple[float, float]:
     """Return the 95 % interval of a value that is above zero by its nature; nan without an error.
 
-    Symmetric in its logarithm where the error is small against the value, else cut at zero; so wide
-    its logarithm is no longer normal either, and a bound from above is what is known.
+    Symmetric in its logarithm where the error is small against the value, else cut at zero: of an
+    error so large the logarithm is not normal either, and only a bound from above is known.
     """
     reach = quantile * stderr
     if not math.isfinite(value + reach):
@@ -152,13 +152,15 @@ def uncertain(value: float, stderr: float) -> str:
     return bracketed(value, stderr) if known else f"{value:.6g}"
 
 
-def signed_sum(terms: Sequence[tuple[str, float, float]]) -> str:
+def signed_sum(
+    terms: Sequence[tuple[str, float, float]], named: Callable[[str], str] = pretty_term
+) -> str:
     """Write a sum of terms (name, coefficient, standard error), each rounded to its error."""
     text = ""
     for name, value, error in terms:
         sign = "−" if value < 0 else "+"
         glue = f" {sign} " if text else ("−" if value < 0 else "")
-        written = "" if name == "1" else " " + pretty_term(name)
+        written = "" if name == "1" else " " + named(name)
         text += f"{glue}{uncertain(abs(value), error)}{written}"
     return text or "0"
 

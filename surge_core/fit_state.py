@@ -110,6 +110,12 @@ class FitState(StrEnum):
         "the library lacks, a state that was not measured, or an input that is missing; widen the "
         "library, or give the hidden state",
     )
+    COLOURED_REST = (
+        "coloured_rest",
+        "the equations follow the data within the noise, but what they leave comes in runs: a term "
+        "that the library lacks is made up for by others, or the noise is not white; coefficients "
+        "are off by more than their errors say: widen the library, or measure without a filter",
+    )
     NO_EQUATIONS = (
         "no_equations",
         "no model was found that the data follow, and none is stated: check that every state was "

@@ -84,7 +84,8 @@ def trial_of(comparison: Comparison) -> TauTrial:
     """
     hold, rows = comparison.first.model.hold, comparison.rows
     fitted = [r for r in comparison.results if math.isfinite(r.model.time_constant_s)]
-    for result in fitted:
+    # The same one whatever is trusted most.
+    for result in sorted(fitted, key=lambda r: r.name != "classic_ml"):
         if result.whole_run is None:
             continue
         inputs = result.whole_run.stacked()

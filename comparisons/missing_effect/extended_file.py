@@ -47,6 +47,10 @@ def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     path : str or path
         Target.
     """
+    for name, model in models.items():
+        unfitted = [added.name for added in model.effects if not added.fitted]
+        expected, found = "effects that were fitted", ", ".join(unfitted)
+        _require(not unfitted, f"models.{name}", expected, f"{found}, added and not fitted yet")
     save_models(models, path, form=EXTENDED_FORMAT)
 
 
@@ -115,7 +119,8 @@ class _SavedEffect(Saved):
         values = tuple(row.value for row in self.parameters)
         for number, (value, p) in enumerate(zip(values, effect.parameters, strict=True), 1):
             at, bounds = f"{where}.parameters[{number}].value", f"from {p.low:g} to {p.high:g}"
-            _require(p.low <= value <= p.high, at, f"{p.name} {bounds}", f"{value:g}")
+            whole = p.name != "intervals" or value.is_integer()
+            _require(whole and p.low <= value <= p.high, at, f"{p.name} {bounds}", f"{value:g}")
         errors = tuple(row.stderr for row in self.parameters)
         added = AddedEffect(effect, values, errors, tuple(self.coefficients))
         n, found = _n_columns(where, added, terms), str(len(self.coefficients))

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import find_effect
+from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.lag_data import FrozenReferences, LagData
 from comparisons.missing_effect.loading import load_data
-from comparisons.missing_effect.ports import ages, lag_times
+from comparisons.missing_effect.ports import ages, lag_times, n_powers
 from comparisons.missing_effect.quantities import numbers_of
-from comparisons.results import FitRows, FittedLag
+from comparisons.results import FitRows, FittedLag, evaluate_terms
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -131,6 +132,22 @@ class ExtendedLag:
     def valid_phi(self) -> tuple[float, float]:
         """Range of φ in which the curve can be trusted."""
         return self.lag.valid_phi
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, at the start of the clock and the mean speed.
+
+        With the loss in reversed flow and the free shape, without hysteresis, of shape (n,).
+        """
+        at = np.asarray(phi, dtype=np.float64)
+        value = evaluate_terms(list(self.lag.terms), at) @ np.asarray(self.lag.coefficients)
+        for one in self.effects:
+            if one.name == "reverse_flow_branch" and one.coefficients:
+                value = value + evaluate_terms(["phi^2[phi<0]"], at)[:, 0] * one.coefficients[0]
+            elif one.name == "characteristic_shape" and one.coefficients:
+                intervals, low, high = one.nonlinear
+                n = n_powers(self.lag.terms)
+                value = value + shape_columns(at, (low, high), int(intervals), n) @ one.coefficients
+        return np.asarray(value)
 
     def called(self, name: str) -> ExtendedLag:
         """Return the model under another name."""
@@ -263,7 +280,7 @@ class ExtendedLag:
         text = self.lag.equation()
         for added in self.effects:
             alone = " (not simulated: phase unknown)" if added.effect.episodes else ""
-            numbers = numbers_of(added.name, added.numbers)
+            numbers = numbers_of(added.name, added.numbers) if added.fitted else "not fitted"
             text += f"; {added.name}: {added.effect.equation}, {numbers}{alone}"
         return text
 

@@ -189,8 +189,8 @@ def as_estimator(model: ExtendedLag, *, whole_runs: bool = False) -> SimpleNames
         words.append("fitted to unfiltered signals, scored on the filtered rows of the others")
 
     def characteristic(phi: FloatArray) -> tuple[FloatArray, FloatArray]:
-        grid, value, error = np.asarray(lag.table).T
-        return np.interp(phi, grid, value), np.interp(phi, grid, error)
+        grid, _, error = np.asarray(lag.table).T
+        return model.quasi_steady(phi), np.interp(phi, grid, error)
 
     return SimpleNamespace(
         extended_=model,

@@ -149,7 +149,8 @@ def bent_ports(
 ) -> Ports:
     """Return what stands at the ports while φ moves slowly, once some effects of a fit have acted.
 
-    The clock is in seconds from its zero; effects that follow no φ alone depend on it and on speed.
+    The clock is in seconds from its zero; effects that are not functions of φ alone depend on it
+    and on speed.
     """
     slow = _slow_data(data, phi, clock, speed)
     ports = Ports.of(slow, phi, fit.structure.terms)

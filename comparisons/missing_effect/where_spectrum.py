@@ -13,7 +13,7 @@ from surge_core.types import BoolArray, FloatArray
 # Sine tapers (Riedel and Sidorenko, IEEE Trans. Signal Process. 43 (1995), 188): three of them
 # use 86 % of the rows and leak as 1/f⁴, so that a slow drift stays in its band.
 TAPERS = 3
-FEWEST_ROWS = 10
+FEWEST_ROWS, MOST_PADDING = 10, 64
 BANDS = 24
 QUIET_QUANTILE_Z, QUIET_SHARE = -0.6745, 0.25
 # The floor's power is itself an estimate, and so is the shape of an autoregression's spectrum.
@@ -67,7 +67,9 @@ def tapered_power(
 
     Rows that are not scored are joined by straight lines (``bridged``), or left out.
     """
-    pieces = [run for run in runs if np.count_nonzero(scored[run]) >= FEWEST_ROWS] or runs[:1]
+    # Short runs say little beside long ones, and each costs as much.
+    least = max(FEWEST_ROWS, max(run.stop - run.start for run in runs) // MOST_PADDING)
+    pieces = [run for run in runs if np.count_nonzero(scored[run]) >= least] or runs[:1]
     size = 1 << max(max(run.stop - run.start for run in pieces) - 1, 1).bit_length()
     level = float(np.mean(values[scored]))
     total, weight = np.zeros(size // 2 + 1), 0.0

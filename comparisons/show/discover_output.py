@@ -60,11 +60,7 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
     if not _stated(model):
         return (head,)
     named = zip(model.state_names_, model.equation_terms_, strict=True)
-    sums = {
-        state: signed_sum([(t.name, t.coefficient, t.stderr) for t in terms])
-        for state, terms in named
-    }
-    equations = [f"d{state}/dt = {written}" for state, written in sums.items()]
+    equations = [f"d{state}/dt = {_written(terms)}" for state, terms in named]
     rivals = [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
     tried = f"{len(model.path_)} models compared"
     words = f"rivals: none within 5 of the log-likelihood ({tried})"
@@ -74,6 +70,13 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
             "cannot be excluded"
         )
     return (head, *equations, words, *rivals)
+
+
+def _written(terms: Sequence[Term]) -> str:
+    """Write a right-hand side in the user's own names; a coefficient without error was given."""
+    names = [t.name if t.stderr > 0.0 else f"{t.name} (given)" for t in terms]
+    rows = [(n, t.coefficient, t.stderr) for n, t in zip(names, terms, strict=True)]
+    return signed_sum(rows, str)
 
 
 def _difference(model: SparseDynamics, rival: Rival) -> str:

@@ -21,6 +21,7 @@ from comparisons.total_system.fitted import (
 from comparisons.total_system.measured import Measured, first_reversal_s, observed_states
 from comparisons.total_system.model import (
     COLUMNS,
+    NO_STATES,
     STEPS_PER_SECOND,
     TotalSystemModel,
     integrate,
@@ -202,7 +203,8 @@ class _Runs:
             begin, latches = self.states[rows.start].copy(), self.latches[rows]
             begin[_NODE_STATES[: node.size]] += scale[: node.size] * node
             first_s, n = float(measured.time_s[rows.start]), rows.stop - rows.start
-            run = integrate(c, begin, latches[0], first_s, n, measured.period_s, substeps, latches)
+            own = c, begin, latches[0], first_s, n, measured.period_s, substeps
+            run = integrate(*own, latches, NO_STATES)
             runs.append(run[:, _FITTED])
         return runs
 

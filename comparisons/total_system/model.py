@@ -35,8 +35,8 @@ W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(N_STATES
 P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(N_STATES, N_COLUMNS)
 # States that are read off a record; the others follow from the balances.
 MEASURED = (W, PSI_P, P31, P_IN, T_FACE)
-# Where neither is given.
-_NO_LATCH, _NO_STATES = np.empty((0, 4)), np.empty((0, len(MEASURED)))
+# Where neither is given; as defaults they would keep numba from its cache.
+NO_LATCH, NO_STATES = np.empty((0, 4)), np.empty((0, len(MEASURED)))
 # Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
 STALLED, ARMED, SINCE, FROM = range(4)
 
@@ -248,13 +248,13 @@ def _switch(
 def integrate(
     c: Any, start: FloatArray, begin_latch: FloatArray, begin: float,
     n_rows: int, row_s: float, substeps: int,
-    forced: FloatArray = _NO_LATCH, measured: FloatArray = _NO_STATES,
+    forced: FloatArray, measured: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``row_s`` after it.
 
     ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
-    rows in it the model switches by itself. So does ``measured`` the states of `MEASURED`, which
-    are put in at each row: what no probe reads follows from the balances, and forgets its start.
+    rows in it the model switches by itself. ``measured`` holds the states of `MEASURED` for each
+    row, put in there: what no probe reads follows from the balances, and forgets its start.
     """
     rows = np.empty((n_rows, N_COLUMNS))
     s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
@@ -423,5 +423,6 @@ class TotalSystemModel:
         latch = np.array([float(surging), 0.0, begin, 0.0])
         first = self.near_stall_state() if state is None else state
         steps = max(1, round(period_s * STEPS_PER_SECOND))
-        rows = integrate(self.constants(), first, latch, begin, n_rows, period_s, steps)
+        own = self.constants(), first, latch, begin, n_rows, period_s, steps
+        rows = integrate(*own, NO_LATCH, NO_STATES)
         return {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(COLUMNS)}

@@ -15,7 +15,7 @@ from sindy_surge.discover.trajectories import LEAST_NOISE, Features, Trajectorie
 from sindy_surge.search import Tried
 from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
@@ -23,9 +23,11 @@ _HIDDEN_FREEDOM = 10.0
 _RIVAL = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
+# What is left over the noise that differences show, before a run of it withholds the equations.
+_EXCESS = 1.2
 # Lags at which what the equations leave is held against white noise, and how rarely that may fail
-# by chance. A pendulum with cubic terms and 2 % noise left 1.03 times the noise, and errors of its
-# coefficients of seven stated ones.
+# by chance. A pendulum with cubic terms and 2 % noise left 1.03 times the noise, and its
+# coefficients were off by seven and more of their stated errors.
 _LAGS = 10
 _BY_CHANCE = 1e-4
 
@@ -382,28 +384,37 @@ class SparseDynamics(BaseEstimator):
     def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
-        if not _is_white(problem, best.fit):
+        left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
+        coloured = _coloured(left, problem.data, ~problem.hidden)
+        large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
+        if np.any(coloured & large):
             return FitState.UNEXPLAINED
         if problem.rows is not None:
             return FitState.SHORT_RUNS_ONLY
+        if np.any(coloured):
+            return FitState.COLOURED_REST
         return FitState.OK if self.search == "full" else FitState.PROPOSED
 
 
-def _is_white(problem: Collocation, fit: Fit) -> bool:
-    """Tell whether what the equations leave of each measured state is white (Ljung & Box 1978).
+def _coloured(left: FloatArray, data: Trajectories, measured: BoolArray) -> BoolArray:
+    """Tell which columns of what the equations leave come in runs.
 
-    Below the noise assumed at least, rounding and the rule of integration show.
+    By the sum over lags of the squared correlations, each in units of its own scatter, so that
+    noise may differ between rows (Lobato, Nankervis & Savin 2001). Those below zero do not count:
+    starts that are fitted make them. What is left below the noise assumed at least, or below one
+    step of the readings, is rounding, which follows the signal.
     """
     from scipy.stats import chi2
 
-    left = problem.data.y - fit.x
-    shown = np.std(left, axis=0) > LEAST_NOISE * np.std(problem.data.y, axis=0)
-    left = left[:, shown & ~problem.hidden]
-    n, offset, q = len(left), problem.data.runs.offsets(), np.zeros(left.shape[1])
+    y, offset = data.y[:, measured], data.runs.offsets()
+    step = np.array([np.min(np.diff(np.unique(column))) for column in y.T])
+    shown = np.std(left, axis=0) > np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
+    q = np.zeros(left.shape[1])
     for lag in range(1, _LAGS + 1):
         pairs = (offset[lag:] >= lag)[:, None] * left[lag:] * left[:-lag]
-        q += n * (n + 2) / (n - lag) * (pairs.sum(axis=0) / np.sum(left**2, axis=0)) ** 2
-    return bool(np.all(chi2.sf(q, _LAGS) > _BY_CHANCE))
+        scatter = np.maximum(np.sum(pairs**2, axis=0), 1e-300)
+        q += np.maximum(pairs.sum(axis=0), 0.0) ** 2 / scatter
+    return np.asarray(shown & (chi2.sf(q, _LAGS) < _BY_CHANCE))
 
 
 def _moving(y: FloatArray, names: Sequence[str] | None) -> None:

@@ -28,11 +28,17 @@ LARGEST_JITTER = 1e-3
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
 LONGEST_CAUSE = 200
 
-Names: TypeAlias = tuple[str, ...]
+Names: TypeAlias = tuple[str, ...] | None
 Columns: TypeAlias = dict[str, FloatArray]
 
 
-def read_experiment(path: str | os.PathLike[str], model: Model) -> Experiment:
+def read_experiment(
+    path: str | os.PathLike[str],
+    model: Model | None = None,
+    *,
+    settle: int = 0,
+    name: str | None = None,
+) -> Experiment:
     """Read one measured run of a system; a record is data and is never executed.
 
     Parameters
@@ -40,9 +46,14 @@ def read_experiment(path: str | os.PathLike[str], model: Model) -> Experiment:
     path : str or path
         ``.csv`` with a header, ``.mat``, ``.npz``, or ``.nc``. A column
         ``time_s`` or ``t`` is the clock, in seconds; the others are called as in the model, in its
-        units. In files of arrays a vector may lie either way; other columns are left alone.
-    model : Model
-        Whose inputs and outputs must be there.
+        units. In files of arrays a vector may lie either way; scalars and other shapes are left
+        alone.
+    model : Model, optional
+        Whose inputs and outputs must be there, and which alone are read then.
+    settle : int
+        Rows at the start of a check record that are not scored; 0 takes what the model needs.
+    name : str, optional
+        Of the run; the file's without it.
 
     Returns
     -------
@@ -55,10 +66,12 @@ def read_experiment(path: str | os.PathLike[str], model: Model) -> Experiment:
     """
     file = Path(path)
     expected = "a record ending in .csv, .mat, .npz or .nc"
+    _require_file(file, expected)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise InputError(str(file), expected=expected, found=f"the suffix '{file.suffix}'")
-    columns = reader(file, (*TIMES, *model.input_names, *model.output_names))
+    wanted = None if model is None else (*model.input_names, *model.output_names)
+    columns = reader(file, wanted)
     clocks = [name for name in TIMES if name in columns]
     found = "both" if clocks else f"columns {', '.join(columns) or 'of other names'}"
     expected = "one column of time in seconds, 'time_s' or 't'"
@@ -66,10 +79,15 @@ def read_experiment(path: str | os.PathLike[str], model: Model) -> Experiment:
     time_s = columns.pop(clocks[0])
     n = time_s.size
     _require(n >= FEWEST_ROWS, f"{file}: rows", f"at least {FEWEST_ROWS}", f"{n}")
-    for key, values in columns.items():
-        _require(values.size == n, f"{file}: {key}", f"{n} values", f"{values.size}")
+    odd = {key: values.size for key, values in columns.items() if values.size != n}
+    for key, size in odd.items() if wanted is not None else ():
+        _require(False, f"{file}: {key}", f"{n} values, as many as of time", f"{size}")
+    kept = {key: values for key, values in columns.items() if key not in odd}
     period_s = _period(f"{file}: {clocks[0]}", time_s)
-    return Experiment(file.stem, period_s, columns, float(time_s[0]), origin=str(file)).of(model)
+    run = Experiment(
+        name or file.stem, period_s, kept, float(time_s[0]), settle=settle, origin=str(file)
+    )
+    return run if model is None else run.of(model)
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
@@ -93,6 +111,7 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         When the file is missing, fails (with the line), or holds no model or several.
     """
     file = Path(path)
+    _require_file(file, "a Python file with a model")
     try:
         with _folder_on_path(file.parent):
             space = runpy.run_path(str(file), run_name="sindy_surge_model")
@@ -122,6 +141,14 @@ def load_model(path: str | os.PathLike[str]) -> Model:
 def _require(good: bool, where: str, expected: str, found: str, remedy: str = "") -> None:
     if not good:
         raise InputError(where, expected=expected, found=found, remedy=remedy)
+
+
+def _require_file(file: Path, expected: str) -> None:
+    """Refuse a folder, a file that is not there, and an empty one."""
+    found = "a folder" if file.is_dir() else "" if file.is_file() else "no such file"
+    if not found and file.stat().st_size == 0:
+        found = "an empty file"
+    _require(not found, str(file), expected, found)
 
 
 @contextmanager
@@ -184,7 +211,7 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
         warnings.simplefilter("error", pd.errors.ParserWarning)
         table = pd.read_csv(file, names=names, skiprows=1, index_col=False, low_memory=False, **how)
     out = {}
-    for name in (name for name in names if name in wanted):
+    for name in names if wanted is None else (n for n in names if n in (*TIMES, *wanted)):
         numbers = pd.to_numeric(table[name], errors="coerce")
         words = np.flatnonzero(numbers.isna() & table[name].notna())
         for row in words[:1]:
@@ -197,20 +224,35 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
 def _read_npz(file: Path, wanted: Names) -> Columns:
     """Read an archive of arrays; objects would be executed as they are loaded, and are refused."""
     out = {}
-    what = "an .npz file of arrays of numbers, since a file is read as data and never executed"
-    with _parsed(file, what), np.load(file, allow_pickle=False) as opened:
-        for name in set(opened.files).intersection(wanted):
-            out[name] = opened[name].ravel().astype(np.float64)
+    with (
+        _parsed(file, "an .npz file of plain arrays, each with its name"),
+        file.open("rb") as binary,
+        np.load(binary, allow_pickle=False) as opened,
+    ):
+        for name in opened.files:
+            if wanted is not None and name not in (*TIMES, *wanted):
+                continue
+            try:
+                values = opened[name]
+            except ValueError as error:
+                raise InputError(
+                    f"{file}: {name}",
+                    expected="numbers, since a file is read as data and never executed",
+                    found=f"what only a program makes again ({_cause(error)})",
+                    remedy=f"save it as numbers, with {name}.astype(float)",
+                ) from error
+            if 1 < values.size == max(values.shape) and values.dtype.kind in "iufb":
+                out[name] = values.ravel().astype(np.float64)
     return out
 
 
 def _read_stored(file: Path, wanted: Names) -> Columns:
     """Read a file of one of the formats that raw records have."""
     with open_stored(file) as table:
-        expected = "a vector of numbers, as many as of time"
-        for name in table.left_aside.keys() & wanted:
-            _require(False, f"{file}: {name}", expected, str(table.left_aside[name]))
-        kept = tuple(name for name in table.names if name in wanted)
+        for name in wanted or ():
+            found, expected = table.left_aside.get(name), "a vector of numbers, as many as of time"
+            _require(found is None, f"{file}: {name}", expected, str(found))
+        kept = tuple(n for n in table.names if wanted is None or n in (*TIMES, *wanted))
         blocks = list(table.blocks(kept))
     columns = zip(kept, map(np.concatenate, zip(*blocks, strict=True)), strict=True)
     return {name: values.astype(np.float64) for name, values in columns}

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Callable
 from functools import lru_cache
 
-from comparisons.missing_effect.systems.compiled import Expression
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Number, SystemEffect
 from comparisons.missing_effect.systems.roles import PLACES, always, fixed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from surge_core.errors import InputError
 
+Expression = Callable[[Model], Callable[..., float]]
 # A name in a term that is no function's.
 NAME = re.compile(r"\b[^\W\d]\w*\b(?!\s*\()")
 _FUNCTIONS = {
     name: getattr(math, name) for name in ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt")
 } | {"abs": abs}
-# Names, numbers and signs, and calls of these functions alone.
-_TERM = re.compile(
-    rf"((?:{'|'.join(_FUNCTIONS)})\(|[^\W\d]\w*\b(?!\s*[(.])|\d[\d.]*+(e[+-]?\d+)?|[-+*/()\s])++"
-)
+_NODES = (
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Constant, ast.Load,
+    ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub,
+)  # fmt: skip
 
 
 def _open(
@@ -100,17 +101,22 @@ def _expression(written: str) -> Expression:
     text = written.replace("·", "*").replace("^", "**").replace("²", "**2").replace("³", "**3")
     # A space between two factors is a product: "x^2 v".
     text = re.sub(r"(?<=[\w)])\s+(?=[^\W\d])", "*", text.strip())
+    wrong = InputError(
+        f"library: {written}",
+        expected="names, numbers, + - * / ^ and " + ", ".join(_FUNCTIONS),
+        found="what is no such term",
+    )
     try:
-        compile(text, written, "eval")
-        good = _TERM.fullmatch(text) is not None
-    except (SyntaxError, ValueError):
-        good = False
-    if not good:
-        raise InputError(
-            f"library: {written}",
-            expected="names, numbers, + - * / ^ and " + ", ".join(_FUNCTIONS),
-            found="what is no such term",
+        tree = ast.parse(text, mode="eval")
+    except (SyntaxError, ValueError) as error:
+        raise wrong from error
+    for node in ast.walk(tree):
+        bad_call = isinstance(node, ast.Call) and (
+            not isinstance(node.func, ast.Name) or node.func.id not in _FUNCTIONS or node.keywords
         )
+        bad_number = isinstance(node, ast.Constant) and type(node.value) not in (int, float)
+        if bad_call or bad_number or not isinstance(node, _NODES):
+            raise wrong
 
     @lru_cache(maxsize=8)
     def of_model(model: Model) -> Callable[..., float]:

@@ -164,7 +164,22 @@ def test_a_term_that_the_library_lacks_is_not_called_ok(seed):
         lambda _, z: [z[1], -np.sin(z[0]) - 0.1 * z[1]], (0, t[-1]), [2.0, 0.0], t_eval=t, rtol=1e-9
     ).y.T
     noisy = run + 0.02 * run.std(axis=0) * rng.standard_normal(run.shape)
-    assert SparseDynamics().fit(noisy, t).state_.code == "unexplained"
+    assert SparseDynamics().fit(noisy, t).state_.code == "coloured_rest"
+
+
+@pytest.mark.parametrize("sizes", [(0.02,) * 60, (0.01, 0.01, 0.1, 0.01)])
+def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
+    """Fitted starts make what is left change its sign, and one noisy run has large products."""
+    rng, rows = np.random.default_rng(7), 1200 // len(sizes)
+    t = np.arange(rows) * 0.1
+    runs = []
+    for size in sizes:
+        start = rng.uniform(-2, 2, 2)
+        run = solve_ivp(
+            lambda _, z: [z[1], -z[0] - 0.05 * z[1]], (0, t[-1]), start, t_eval=t, rtol=1e-9
+        ).y.T
+        runs.append(run + size * rng.standard_normal(run.shape))
+    assert SparseDynamics().fit(runs, t).state_.code == "ok"
 
 
 @pytest.mark.parametrize(
