@@ -4,11 +4,11 @@ Run it as ``python examples/measured/silverbox.py --json numbers.json --report s
 the record comes from the folder in SINDY_SURGE_BENCHMARKS, or through nonlinear-benchmarks.
 """
 
-from benchmark_data import benchmark_file
 from scipy.io import loadmat
 
 from comparisons.missing_effect import Experiment, Model, P
 from comparisons.missing_effect.script import run_script
+from comparisons.missing_effect.systems.benchmark_data import benchmark_file
 
 PERIOD_S = 2**14 / 1e7
 

@@ -12,6 +12,7 @@ from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model
 from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
 ROOT = Path(__file__).parents[4]
@@ -146,8 +147,7 @@ def test_the_spring_of_the_silverbox_is_cubic(monkeypatch: pytest.MonkeyPatch) -
 
     On stretches of the record; the figures on the official splits are printed by the script.
     """
-    monkeypatch.setenv("SINDY_SURGE_BENCHMARKS", str(SHARED))
-    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.setenv(BENCHMARK_FOLDER, str(SHARED))
     made = runpy.run_path(str(EXAMPLES / "silverbox.py"))
     train = made["rows"]("training", 40650, 40650 + 3600)
     tests = [made["rows"]("multisine", 105712, 108712)]
