@@ -41,7 +41,7 @@ class FoundStructure(Displayed):
     fitted_to : {"rows", "whole runs"}
         Rows of the segments, or one free run through each unfiltered record.
     reason : str
-        Why these, in a sentence.
+        How these rows were taken, and why not whole runs.
     phi, measured : ndarray of shape (n,)
         The rows that were scored.
     n_segments : int
@@ -96,9 +96,12 @@ class FoundStructure(Displayed):
         return (phi, *self.fit.characteristic(phi))
 
     def _sheet(self) -> Sheet:
+        return self.sheet()
+
+    def sheet(self) -> Sheet:
         """Return all that is known: what was fitted, equation, state, terms and what came close."""
         names = ", ".join(Path(record.source).name for record in self.records)
-        fitted = Field("fitted to", f"{self.phi.size} rows; {self.reason}")
+        fitted = Field("fitted to", f"{self.phi.size} rows {self.reason}")
         code, advice = self.state
         if self.refused:
             title = f"ψ' of {names}: no structure ({code})"
@@ -147,12 +150,12 @@ def find_structure(records: Sequence[CoefficientSeries]) -> FoundStructure:
         whole = fit_sparse_whole_runs(records, **SETTINGS)
         inputs = whole.stacked()
         scored = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored], len(whole.rows_)
-        reason = "fitted in one simulation through the unfiltered record"
+        reason = "in one simulation through the unfiltered record"
         return FoundStructure(whole, tuple(records), "whole runs", reason, *scored)
     rows = stack_rows(records)
     fit = SparseLagRegressor(rows.sample_period_s, output_name="psi_p", **SETTINGS)
     fit.fit(rows.X, rows.measured, segments=rows.labels)
     why = ", since not every record carries a whole run" if any(carry) else ""
     scored = rows.phi, rows.measured, rows.n_segments
-    reason = f"the rows of the segments{why}"
+    reason = f"of the segments{why}"
     return FoundStructure(fit, tuple(records), "rows", reason, *scored)

@@ -126,7 +126,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         "fitted_to": found.fitted_to,
         "rows_fitted": int(found.phi.size),
         "segments_fitted": found.n_segments,
-        "settings": SETTINGS,
+        "settings": dict(SETTINGS),
         "equation": None if found.refused else found.equation(),
         "time_constant_s": tau_json(tau, error, interval95(tau, error)),
         # Null where none was looked for.

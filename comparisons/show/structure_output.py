@@ -14,7 +14,7 @@ from surge_core.display import Grid
 
 def structure_parts(found: FoundStructure) -> tuple[Part, ...]:
     """Return the parts of a report section on the terms of the characteristic."""
-    sheet = found._sheet()
+    sheet = found.sheet()
     # A ledger has a line for each of its entries.
     rows = tuple(
         (field.label if number == 0 else "", line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,15 @@ def test_whole_runs_are_fitted_where_a_record_carries_one(
     assert abs(tau["value"] - 0.018) < 0.003
     assert run_through["dead_time_s"] == {"value": None, "stderr": None}
     assert report.read_text("utf-8").count("<img") == 1
+
+
+def test_rows_behind_a_low_pass_carry_the_word_on_tau(whole: Path, tmp_path: Path) -> None:
+    rows = tmp_path / "rows.csv"
+    pd.read_csv(whole)[["time_s", "phi", "psi_p", "segment"]].to_csv(rows, index=False)
+    shutil.copy(whole.with_suffix(".ledger.json"), rows.with_suffix(".ledger.json"))
+    found = numbers(tmp_path, rows)
+    assert found["fitted_to"] == "rows"
+    assert any("low-passed" in caution for caution in found["cautions"])
 
 
 def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -231,7 +231,7 @@ def _black_box_outputs(
 
 @lru_cache(maxsize=16)
 def _wire(names: tuple[str, ...]) -> Model:
-    """Return a model that gives its inputs, around which effects act as they do around any."""
+    """Return a model whose outputs are its inputs: effects around it are those of equations."""
     return Model(
         {"at_rest": "1"},
         dict.fromkeys(names, "1"),
@@ -249,7 +249,7 @@ def _behind(
     late: FloatArray,
     effects: Mapping[Placed, FloatArray],
 ) -> FloatArray:
-    """Return the channels of a run, as inputs late by so many samples, behind effects there."""
+    """Return the inputs of a run, each late by so many samples, once effects have acted on them."""
     if not names:
         return np.zeros((run.n_samples, 0))
     structure = replace(like, model=_wire(names), effects=tuple(effects))

@@ -155,14 +155,15 @@ def test_a_missing_state_is_not_called_ok():
     assert model.state_.code in ("unexplained", "no_equations")
 
 
+def swinging(force, start, t):
+    return solve_ivp(lambda _, z: [z[1], force(*z)], (0, t[-1]), start, t_eval=t, rtol=1e-9).y.T
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_term_that_the_library_lacks_is_not_called_ok(seed):
     """A pendulum by cubic terms leaves 1.03 times the noise: little, but not white."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(1500) * STEP_S
-    run = solve_ivp(
-        lambda _, z: [z[1], -np.sin(z[0]) - 0.1 * z[1]], (0, t[-1]), [2.0, 0.0], t_eval=t, rtol=1e-9
-    ).y.T
+    rng, t = np.random.default_rng(seed), np.arange(1500) * STEP_S
+    run = swinging(lambda q, w: -np.sin(q) - 0.1 * w, [2.0, 0.0], t)
     noisy = run + 0.02 * run.std(axis=0) * rng.standard_normal(run.shape)
     assert SparseDynamics().fit(noisy, t).state_.code == "coloured_rest"
 
@@ -170,14 +171,10 @@ def test_a_term_that_the_library_lacks_is_not_called_ok(seed):
 @pytest.mark.parametrize("sizes", [(0.02,) * 60, (0.01, 0.01, 0.1, 0.01)])
 def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
     """Fitted starts make what is left change its sign, and one noisy run has large products."""
-    rng, rows = np.random.default_rng(7), 1200 // len(sizes)
-    t = np.arange(rows) * 0.1
+    rng, t = np.random.default_rng(7), np.arange(1200 // len(sizes)) * 0.1
     runs = []
     for size in sizes:
-        start = rng.uniform(-2, 2, 2)
-        run = solve_ivp(
-            lambda _, z: [z[1], -z[0] - 0.05 * z[1]], (0, t[-1]), start, t_eval=t, rtol=1e-9
-        ).y.T
+        run = swinging(lambda q, w: -q - 0.05 * w, rng.uniform(-2, 2, 2), t)
         runs.append(run + size * rng.standard_normal(run.shape))
     assert SparseDynamics().fit(runs, t).state_.code == "ok"
 

@@ -111,6 +111,10 @@ def measured(folder: str, name: str) -> Experiment:
     return Experiment(name, round(float(np.median(np.diff(time_s))), 9), columns)
 
 
+def diagnosed(name: str) -> SystemDiagnosis:
+    return diagnose_model(SYSTEMS[name][0], measured(name, "train"), measured(name, "test"))
+
+
 def firm(found: SystemDiagnosis) -> list[str]:
     return [item.label for item in found.missing if not item.provisional and not item.unnamed]
 
@@ -118,9 +122,7 @@ def firm(found: SystemDiagnosis) -> list[str]:
 @needs_measured
 def test_the_tanks_overflow() -> None:
     """The upper tank spills into the lower one: first and firm, and no sensor is blamed."""
-    found = diagnose_model(
-        SYSTEMS["tanks"][0], measured("tanks", "train"), measured("tanks", "test")
-    )
+    found = diagnosed("tanks")
     assert firm(found)[0] == "overflow(h1) in h1 into h2"
     assert not [label for label in firm(found) if "of y" in label]
     assert found.checks[0].after_rms < 0.34
@@ -131,11 +133,7 @@ def test_the_tanks_overflow() -> None:
 @needs_measured
 def test_the_ball_on_its_beam_gets_no_name() -> None:
     """An integrating plant in 700 rows: nothing can be named, and the model stays as it was."""
-    model, train, test = (
-        SYSTEMS["ball_and_beam"][0],
-        *(measured("ball_and_beam", name) for name in ("train", "test")),
-    )
-    found = diagnose_model(model, train, test)
+    found = diagnosed("ball_and_beam")
     assert firm(found) == []
     assert found.verdict == "unexplained_structure"
     assert found.checks[0].after_rms <= 1.01 * found.checks[0].before_rms
