@@ -119,7 +119,8 @@ def _cell_style(grid: Grid, column: int, text: str) -> str:
     long = any(len(word) > LONGEST_WORD for word in text.split())
     if column not in grid.words:
         return "numeric long" if long else "numeric"
-    return "prose" if long or len(text) > LONGEST_LINE else "short"
+    # Small print has a line of its own.
+    return "prose" if long or max(map(len, text.split("\n"))) > LONGEST_LINE else "short"
 
 
 def _digest(text: str) -> str:
