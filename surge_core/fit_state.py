@@ -116,6 +116,12 @@ class FitState(StrEnum):
         "that the library lacks is made up for by others, or the noise is not white; coefficients "
         "are off by more than their errors say: widen the library, or measure without a filter",
     )
+    ODD_ROWS = (
+        "odd_rows",
+        "single rows lie farther from the equations than normal noise does, and coefficients are "
+        "bent towards them: look at the rows in which `x_` is farthest from x, and cut the record "
+        "there",
+    )
     NO_EQUATIONS = (
         "no_equations",
         "no model was found that the data follow, and none is stated: check that every state was "
@@ -129,7 +135,7 @@ class FitState(StrEnum):
     PROPOSED = (
         "proposed",
         "the terms are those that the optimizer proposed, fitted; they were compared with no "
-        "others: search='full' does that",
+        "others, nor with the noise: search='full' does that",
     )
     OK = ("ok", "no larger structure of this library explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (

@@ -161,7 +161,7 @@ def _over_frequency(
     ratio = before.density / floor if known else np.full(floor.size, math.nan)
     background = before.background(ratio) if known else math.nan
     level = max(background, 1.0) ** 2
-    total = float(np.sum(before.density[1:]))
+    total = float(np.sum(before.density))
     for low, high, inside in log_bands(before.frequency_hz, before.resolution_hz):
         was, now, measured = (float(np.mean(power.density[inside])) for power in powers)
         share = float(np.sum(before.density[inside])) / total if total > 0.0 else math.nan

@@ -301,7 +301,8 @@ def _of_frequency(where: Where) -> str:
     holds = f"holds {100.0 * row.share:.0f} % of its power"
     if row.measured_psd > 0.0:
         part = 100.0 * row.before_psd / row.measured_psd
-        listed = "more than" if part > 100.0 else f"{significant(part, 2)} % of"
+        shown = significant(part, 2) if part < 10.0 else f"{part:.0f}"
+        listed = "more than" if part > 100.0 else f"{shown} % of"
         holds += f", {listed} what was measured there"
     floor = f" and is {row.ratio:.3g} times the noise" if judged else ""
     line = where.line

@@ -57,11 +57,18 @@ class Collocation:
     # Length of the segments that trajectories are cut into, each with a start of its own
     rows: int | None = None
     joined: BoolArray = field(init=False)
-    middle: FloatArray = field(init=False)
+    middle: FloatArray = field(init=False)  # Inputs half-way to the next row, and on arrival there
+    end: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joined", self.data.within(self.rows))
         object.__setattr__(self, "middle", self.data.middle_inputs())
+        object.__setattr__(self, "end", self.data.end_inputs())
+
+    @property
+    def held(self) -> bool:
+        """Whether an input is held between rows."""
+        return bool(np.any(self.data.held))
 
     def cut(self, rows: int | None) -> Collocation:
         """Return the same with other segments."""
@@ -143,13 +150,16 @@ class _About:
         h = np.where(problem.joined, problem.data.step_s, 0.0)[:, None]
         self.h = h
         with np.errstate(all="ignore"):
-            self.theta = features.values(x, u)
-            f = self.theta @ total
-            middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f[:-1] - f[1:])
+            # A held input jumps in a row: the step before ends with another value.
+            theta = features.values(x, u)
+            self.theta = theta[:-1]
+            self.theta_e = features.values(x[1:], problem.end) if problem.held else theta[1:]
+            f, f_e = self.theta @ total, self.theta_e @ total
+            middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f - f_e)
             self.middle = middle
             self.theta_m = features.values(middle, problem.middle)
             f_m = self.theta_m @ total
-            r = x[1:] - x[:-1] - h / 6.0 * (f[:-1] + 4.0 * f_m + f[1:])
+            r = x[1:] - x[:-1] - h / 6.0 * (f + 4.0 * f_m + f_e)
             self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
         # Against what one row's noise does to a difference, √2.
         self.defect = float(np.sum(self.r**2)) / 2.0
@@ -158,14 +168,18 @@ class _About:
     def _jacobians(self) -> tuple[FloatArray, FloatArray]:
         """Return A⁻ and A⁺, (n_rows - 1, n, n), in units of the noise."""
         problem, u = self.problem, self.problem.data.u
-        slope = problem.features.derivatives(self.x, u)
-        J = np.einsum("kfs,fj->kjs", slope, self.total)
-        slope = problem.features.derivatives(self.middle, problem.middle)
-        self.J_m = np.einsum("kfs,fj->kjs", slope, self.total)
+
+        def slopes(x: FloatArray, u: FloatArray) -> FloatArray:
+            slope = problem.features.derivatives(x, u)
+            return np.asarray(np.einsum("kfs,fj->kjs", slope, self.total))
+
+        J = slopes(self.x, u)
+        J, J_e = J[:-1], slopes(self.x[1:], problem.end) if problem.held else J[1:]
+        self.J_m = slopes(self.middle, problem.middle)
         h = self.h[:, :, None]
         eye = np.eye(self.x.shape[1])
-        before = -eye - h / 6.0 * (J[:-1] + 4.0 * self.J_m @ (0.5 * eye + h / 8.0 * J[:-1]))
-        after = eye - h / 6.0 * (J[1:] + 4.0 * self.J_m @ (0.5 * eye - h / 8.0 * J[1:]))
+        before = -eye - h / 6.0 * (J + 4.0 * self.J_m @ (0.5 * eye + h / 8.0 * J))
+        after = eye - h / 6.0 * (J_e + 4.0 * self.J_m @ (0.5 * eye - h / 8.0 * J_e))
         scale = problem.noise[None, :] / problem.noise[:, None]
         open_rows = problem.joined[:, None, None]
         return np.where(open_rows, before * scale, 0.0), np.where(open_rows, after * scale, 0.0)
@@ -203,8 +217,8 @@ class _About:
         n_terms = self.theta.shape[1]
         term, state = support % n_terms, support // n_terms
         h = np.where(self.problem.joined[:, None], self.h, 0.0)
-        sums = h / 6.0 * (self.theta[:-1] + 4.0 * self.theta_m + self.theta[1:])[:, term]
-        bends = (h**2 / 12.0) * (self.theta[:-1] - self.theta[1:])[:, term]
+        sums = h / 6.0 * (self.theta + 4.0 * self.theta_m + self.theta_e)[:, term]
+        bends = (h**2 / 12.0) * (self.theta - self.theta_e)[:, term]
         # ∂x_m/∂ξ moves f_m in every equation.
         G = np.einsum("kis,ks->kis", self.J_m[:, :, state], bends)
         G[:, state, np.arange(support.size)] += sums

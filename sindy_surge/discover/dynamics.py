@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
+from scipy.stats import chi2, norm
 from sklearn.base import BaseEstimator
+from sklearn.utils.validation import check_is_fitted
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.levels import Level, search_by_levels
 from sindy_surge.discover.trajectories import LEAST_NOISE, Features, Trajectories
 from sindy_surge.search import Tried
+from sindy_surge.segments import Segments
 from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
 from surge_core.types import BoolArray, FloatArray
@@ -36,7 +40,8 @@ class SparseDynamics(BaseEstimator):
     """Discover dx/dt = Θ(x, u) Ξ from noisy trajectories.
 
     All states are taken as measured with white noise of unknown size. States and coefficients are
-    estimated together (errors in variables); the terms are those of the best extended BIC.
+    estimated together (errors in variables); the terms are those of the best extended BIC. An input
+    runs smoothly through its rows or is held from each to the next, whichever leaves less.
 
     Parameters
     ----------
@@ -72,6 +77,8 @@ class SparseDynamics(BaseEstimator):
         trajectories first, best first, then on shorter segments.
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
+    held_inputs_ : tuple of str
+        Inputs that are held from each row to the next.
     state_ : FitState
         How it ended, with advice.
     """
@@ -170,6 +177,8 @@ class SparseDynamics(BaseEstimator):
         left = lhs or [f"({name})'" for name in self.state_names_]
         for one, other in zip(left, self.equations(precision), strict=True):
             sys.stdout.write(f"{one} = {other}\n")
+        if self.state_ is not FitState.OK:
+            sys.stdout.write(f"{self.state_}: {self.state_.advice}\n")
 
     def simulate(self, x0: Any, t: Any, u: Any = None) -> FloatArray:
         """Run the equations from a start.
@@ -189,17 +198,17 @@ class SparseDynamics(BaseEstimator):
             NaN from where the run leaves all bounds.
         """
         from scipy.integrate import solve_ivp
-        from scipy.interpolate import CubicSpline
 
-        times = np.asarray(t, dtype=np.float64)
+        check_is_fitted(self)
+        times, start = np.ravel(t), np.ravel(x0)
         features, xi = self._features, self.coef_.T
-        inputs: Any = u
-        if u is not None and not callable(u):
-            given = np.asarray(u, dtype=np.float64).reshape(times.size, -1)
-            inputs = CubicSpline(times, given)
+        _as_fitted("x0", start.size, self.state_names_)
+        if start.dtype.kind not in "fiu" or not np.isfinite(start).all():
+            raise InputError("x0", expected="finite numbers", found=f"{x0}")
+        inputs = self._inputs(times, u)
 
         def rate(time: float, state: FloatArray) -> FloatArray:
-            z = np.zeros((1, 0)) if u is None else np.reshape(inputs(time), (1, -1))
+            z = np.reshape(inputs(time), (1, -1))
             return np.asarray((features.values(state[None, :], z) @ xi)[0])
 
         def lost(time: float, state: FloatArray) -> float:
@@ -211,14 +220,38 @@ class SparseDynamics(BaseEstimator):
             run = solve_ivp(
                 rate,
                 (times[0], times[-1]),
-                np.asarray(x0, dtype=np.float64),
+                start.astype(np.float64),
                 t_eval=times,
+                # A held input must not be stepped over.
+                max_step=np.max(np.diff(times)) if self.held_inputs_ else np.inf,
                 events=lost,
                 rtol=1e-7,
                 atol=1e-9 * float(self._bound.min()),
             )
         result[: run.y.shape[1]] = run.y.T
         return result
+
+    def _inputs(self, times: FloatArray, u: Any) -> Callable[[float], FloatArray]:
+        """Return the inputs as a function of time, between the rows as they were found."""
+        from scipy.interpolate import CubicSpline
+
+        if callable(u):
+            called: Callable[[float], FloatArray] = u
+            return called
+        n = len(self.input_names_)
+        given = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=np.float64)
+        given = given.reshape(len(given), -1)
+        _as_fitted("u", given.shape[1], self.input_names_)
+        # A clock that rises and finite inputs, as in `fit`.
+        run = Trajectories.of(np.zeros((times.size, 1)), times, given if n else None, fewest=2)
+        smooth = CubicSpline(run.time_s, run.u) if n else None
+        held = np.array([name in self.held_inputs_ for name in self.input_names_], dtype=np.bool_)
+
+        def value(time: float) -> FloatArray:
+            row = max(int(np.searchsorted(run.time_s, time, side="right")) - 1, 0)
+            return run.u[row] if smooth is None else np.where(held, run.u[row], smooth(time))
+
+        return value
 
     def score(self, x: Any, t: Any, u: Any = None) -> float:
         """Return R² of runs that restart every 300 rows from their best starts.
@@ -228,7 +261,12 @@ class SparseDynamics(BaseEstimator):
         x, t, u
             As in `fit`.
         """
+        check_is_fitted(self)
         data = Trajectories.of(x, t, u)
+        _as_fitted("x", data.y.shape[1], [n for n in self.state_names_ if n not in self.hidden])
+        _as_fitted("u", data.u.shape[1], self.input_names_)
+        data = replace(data, held=self.search_.likelihood.data.held)
+        _moving(data.y, self.state_names_)
         problem = Collocation(
             self._with_hidden(data, self._known),
             self._features,
@@ -320,7 +358,7 @@ class SparseDynamics(BaseEstimator):
                     rest -= value * (1.0 if other == "1" else columns[other])
             columns[name] = rest / terms[name]
         added = np.column_stack([columns[name] for name in self.hidden])
-        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.runs)
+        return replace(data, y=np.column_stack((data.y, added)))
 
     def _rates(self, data: Trajectories) -> FloatArray:
         """Return dx/dt of shape (n_rows, n_states), by the user's differentiation or a smooth."""
@@ -341,6 +379,8 @@ class SparseDynamics(BaseEstimator):
         self._features, self._noise_all = features, problem.noise
         self.noise_ = problem.noise[~problem.hidden]
         self.search_, self.best_ = search, best
+        named = zip(self.input_names_, problem.data.held, strict=True)
+        self.held_inputs_ = tuple(name for name, held in named if held)
         self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
         self.candidate_terms_ = features.names
@@ -382,10 +422,17 @@ class SparseDynamics(BaseEstimator):
         )
 
     def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
+        if self.search == "optimizer" and np.isfinite(best.fit.chi2):
+            return FitState.PROPOSED
         if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
+        # What is left below the noise assumed at least, or below one step of the readings, is
+        # rounding, which follows the signal.
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
-        coloured = _coloured(left, problem.data, ~problem.hidden)
+        y = problem.data.y[:, ~problem.hidden]
+        step = np.array([np.min(np.diff(np.unique(column))) for column in y.T])
+        least = np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
+        coloured = (np.std(left, axis=0) > least) & _coloured(left, problem.data.runs)
         large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
         if np.any(coloured & large):
             return FitState.UNEXPLAINED
@@ -393,28 +440,26 @@ class SparseDynamics(BaseEstimator):
             return FitState.SHORT_RUNS_ONLY
         if np.any(coloured):
             return FitState.COLOURED_REST
-        return FitState.OK if self.search == "full" else FitState.PROPOSED
+        # The largest of so many normal numbers; one run may be noisier than another.
+        most = norm.isf(_BY_CHANCE / (2.0 * left.size))
+        runs = [left[rows] for rows in problem.data.runs.slices()]
+        far = [abs(own) > most * np.maximum(np.std(own, axis=0), least) for own in runs]
+        return FitState.ODD_ROWS if any(map(np.any, far)) else FitState.OK
 
 
-def _coloured(left: FloatArray, data: Trajectories, measured: BoolArray) -> BoolArray:
+def _coloured(left: FloatArray, runs: Segments) -> BoolArray:
     """Tell which columns of what the equations leave come in runs.
 
     By the sum over lags of the squared correlations, each in units of its own scatter, so that
     noise may differ between rows (Lobato, Nankervis & Savin 2001). Those below zero do not count:
-    starts that are fitted make them. What is left below the noise assumed at least, or below one
-    step of the readings, is rounding, which follows the signal.
+    starts that are fitted make them.
     """
-    from scipy.stats import chi2
-
-    y, offset = data.y[:, measured], data.runs.offsets()
-    step = np.array([np.min(np.diff(np.unique(column))) for column in y.T])
-    shown = np.std(left, axis=0) > np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
-    q = np.zeros(left.shape[1])
+    offset, q = runs.offsets(), np.zeros(left.shape[1])
     for lag in range(1, _LAGS + 1):
         pairs = (offset[lag:] >= lag)[:, None] * left[lag:] * left[:-lag]
         scatter = np.maximum(np.sum(pairs**2, axis=0), 1e-300)
         q += np.maximum(pairs.sum(axis=0), 0.0) ** 2 / scatter
-    return np.asarray(shown & (chi2.sf(q, _LAGS) < _BY_CHANCE))
+    return np.asarray(chi2.sf(q, _LAGS) < _BY_CHANCE)
 
 
 def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
@@ -426,6 +471,16 @@ def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
             expected="a state that moves",
             found="a constant",
             remedy="leave the state out",
+        )
+
+
+def _as_fitted(name: str, found: int, names: Sequence[str]) -> None:
+    """Refuse another number of columns than was fitted."""
+    if found != len(names):
+        raise InputError(
+            name,
+            expected=f"{len(names)} columns, as fitted" + (f": {', '.join(names)}" * bool(names)),
+            found=str(found),
         )
 
 

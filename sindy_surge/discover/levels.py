@@ -41,10 +41,12 @@ def search_by_levels(
         for state in range(n_states)
         if state not in given
     ]
-    fit, problem = _fit_all(problem, rates, np.concatenate(equations))
+    fit, problem = _with_inputs(problem, rates, np.concatenate(equations))
     # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
     price = float(np.log(len(problem.data.y)) + 2.0 * np.log(n_terms))
     short = Level(problem.cut(_FULL_ROWS[-1]), equations, price)
+    if not np.isfinite(fit.chi2):
+        return [short], Tried((), np.inf, fit, "")
     linear = short.likelihood.regression(fit)
     by = type(optimizer).__name__
     chosen, promising = _proposals(linear, equations, price, optimizer)
@@ -85,6 +87,30 @@ def _proposals(
         ranked = best_of_equation(rest, tuple(range(len(own))), (), price)
         promising += [own[i] for i in min(ranked)[1]]
     return chosen, promising
+
+
+def _with_inputs(
+    problem: Collocation, rates: FloatArray, free: IndexArray
+) -> tuple[Fit, Collocation]:
+    """Fit the whole library with inputs that run smoothly through the rows, and with held ones.
+
+    Kept is what leaves less. Which inputs are held is asked of all at once, and of those that stand
+    still in most rows.
+    """
+    still = np.mean(np.diff(problem.data.u, axis=0) == 0.0, axis=0) > 0.5
+    ways = {(False,) * still.size, (True,) * still.size, tuple(still.tolist())}
+    found = [
+        _fit_all(replace(problem, data=replace(problem.data, held=np.array(held))), rates, free)
+        for held in sorted(ways)
+    ]
+    return min(found, key=lambda each: _left(*each))
+
+
+def _left(fit: Fit, problem: Collocation) -> float:
+    """Return the logarithm of what a fit leaves, infinite without one."""
+    if not np.isfinite(fit.chi2):
+        return np.inf
+    return float(np.sum(np.log(problem.noise[~problem.hidden])))
 
 
 def _fit_all(problem: Collocation, rates: FloatArray, free: IndexArray) -> tuple[Fit, Collocation]:

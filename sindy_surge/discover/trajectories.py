@@ -43,6 +43,14 @@ class Features:
                 found=f"{found.names[bad[0]]}, which is not",
                 remedy="leave the term out, or write it so that noise cannot leave its domain",
             )
+        still = np.flatnonzero(~found.values(x, u).any(axis=0))
+        if still.size:
+            raise InputError(
+                "library",
+                expected="terms that are not zero on the whole record",
+                found=f"{found.names[still[0]]}, which is",
+                remedy="leave the term out, or the input that never acts",
+            )
         return found
 
     @cached_property
@@ -92,6 +100,9 @@ class Features:
 
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
+# A spike is so many times what one second difference in a hundred exceeds: 50 standard deviations
+# of noise.
+_SPIKE = 20.0
 # Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
 # five standard deviations.
 LEAST_NOISE = 3.5e-4
@@ -105,12 +116,15 @@ class Trajectories:
     u: FloatArray  # (n_rows, n_inputs): Inputs
     time_s: FloatArray  # (n_rows,): Time of each row
     runs: Segments  # The rows of each trajectory
+    # (n_inputs,): Inputs held from each row to the next; the others run smoothly through the rows
+    held: BoolArray
 
     @classmethod
-    def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
+    def of(cls, x: Any, t: Any, u: Any = None, fewest: int = _FEWEST_ROWS) -> Trajectories:
         """Read what a user passes, arrays or lists of arrays and times or a step, or refuse it."""
         xs = _listed("x", x)
-        ts = list(t) if isinstance(t, list | tuple) and np.ndim(t[0]) else [t] * len(xs)
+        several = isinstance(t, list | tuple) and len(t) and np.ndim(t[0])
+        ts = list(t) if several else [t] * len(xs)
         us = _listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
         _same("u", len(us), len(xs), "trajectories")
         _same("t", len(ts), len(xs), "trajectories")
@@ -119,16 +133,19 @@ class Trajectories:
             _same(f"u of trajectory {number}", len(inputs), len(states), "rows")
             _same(f"x of trajectory {number}", states.shape[1], xs[0].shape[1], "states")
             times.append(_times(each, len(states)))
-            if len(states) < _FEWEST_ROWS:
+            if len(states) < fewest:
                 raise InputError(
                     f"x of trajectory {number}",
-                    expected=f"at least {_FEWEST_ROWS} rows",
+                    expected=f"at least {fewest} rows",
                     found=str(len(states)),
                     remedy="take a longer record",
                 )
+            _no_spikes(f"x of trajectory {number}", states)
         run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
         runs = Segments.from_labels(run, run.size)
-        return cls(np.concatenate(xs), np.concatenate(us), np.concatenate(times), runs)
+        inputs = np.concatenate(us)
+        smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
+        return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, smooth)
 
     @property
     def step_s(self) -> FloatArray:
@@ -157,23 +174,34 @@ class Trajectories:
         offset = self.runs.offsets()[1:]
         return np.asarray(offset % rows != 0 if rows else offset > 0)
 
+    def end_inputs(self) -> FloatArray:
+        """Return the inputs on arrival at the next row, (n_rows - 1, n_inputs)."""
+        return np.where(self.held, self.u[:-1], self.u[1:])
+
     def middle_inputs(self) -> FloatArray:
-        """Return the inputs half-way between rows (n_rows - 1, n_inputs), by cubics."""
+        """Return the inputs half-way between rows (n_rows - 1, n_inputs), smooth ones by cubics."""
         u, joined = self.u, self.within()
-        linear = 0.5 * (u[1:] + u[:-1])
+        linear = 0.5 * (self.end_inputs() + u[:-1])
         if u.shape[0] < 4 or not u.shape[1]:
             return linear
         cubic = linear.copy()
         cubic[1:-1] = (9.0 * (u[1:-2] + u[2:-1]) - (u[:-3] + u[3:])) / 16.0
         inner = np.zeros(joined.size, dtype=bool)
         inner[1:-1] = joined[:-2] & joined[1:-1] & joined[2:]
-        return np.where(inner[:, None], cubic, linear)
+        return np.where(inner[:, None] & ~self.held, cubic, linear)
 
 
 def _listed(name: str, values: Any) -> list[FloatArray]:
     from sklearn.utils import check_array
 
-    several = isinstance(values, list | tuple) and np.ndim(values[0]) > 0
+    several = isinstance(values, list | tuple) and len(values) > 0 and np.ndim(values[0]) > 0
+    if any(np.ma.is_masked(each) for each in (values if several else [values])):
+        raise InputError(
+            name,
+            expected="numbers without a mask",
+            found="masked ones",
+            remedy="cut the record there and pass the parts as trajectories",
+        )
     try:
         arrays = [
             check_array(each, dtype=np.float64, ensure_2d=False, input_name=name)
@@ -189,7 +217,38 @@ def _listed(name: str, values: Any) -> list[FloatArray]:
     return [np.reshape(each, (len(each), -1)) for each in arrays]
 
 
+def _no_spikes(name: str, x: FloatArray) -> None:
+    """Refuse a single reading far from both its neighbours, where these go on past it.
+
+    By second differences, of which a spike leaves -1/2, 1, -1/2; a kink or a jump leaves others.
+    """
+    bent = x[1:-1] - 0.5 * (x[2:] + x[:-2])
+    if len(bent) < _FEWEST_ROWS:
+        return
+    size = np.abs(bent)
+    far = size[1:-1] > _SPIKE * np.quantile(size, 0.99, axis=0)
+    for beside in (bent[:-2], bent[2:]):
+        far &= (beside * bent[1:-1] < 0.0) & (np.abs(beside) > 0.25 * size[1:-1])
+    rows, columns = np.nonzero(far)
+    if rows.size:
+        row, column = int(rows[0]) + 2, int(columns[0])
+        before, found, after = x[row - 1 : row + 2, column]
+        raise InputError(
+            name,
+            expected="readings that follow one another",
+            found=f"{found:g} in row {row} of column {column}, between {before:g} and {after:g}",
+            remedy="cut the record there and pass the parts as trajectories",
+        )
+
+
 def _times(t: Any, rows: int) -> FloatArray:
+    if np.asarray(t).dtype.kind not in "fiu":
+        raise InputError(
+            "t",
+            expected="times in seconds, or the sample period",
+            found=f"values of type {np.asarray(t).dtype}",
+            remedy="pass (t - t[0]) / np.timedelta64(1, 's') for dates",
+        )
     times = np.asarray(t, dtype=np.float64)
     if times.ndim == 0:
         times = np.asarray(np.arange(rows) * float(times), dtype=np.float64)

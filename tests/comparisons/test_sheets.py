@@ -1,4 +1,4 @@
-"""What a notebook shows of comparisons, models, diagnoses and studies."""
+"""What a notebook shows of diagnoses."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from comparison_data import made_comparison, made_series
 from made_diagnosis import VERDICTS, made_diagnosis
 from made_pages import EVIL
 from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.quantities import plain_name
-from comparisons.results import COLUMNS, Caution
 from surge_core.rounding import bracketed
 
 
@@ -26,19 +24,6 @@ def shown(value: Any) -> tuple[str, str]:
     assert html.count("<style>") == html.count("</style>") == 1
     assert len(html) < 40_000
     return text, html
-
-
-def test_a_comparison_shows_the_table_of_the_terminal() -> None:
-    comparison = made_comparison(
-        made_series(source=EVIL), cautions=(Caution.of("estimator", remark=EVIL),)
-    )
-    text, html = shown(comparison)
-    for heading in COLUMNS:
-        assert heading in text
-    for row in comparison.grid().rows:
-        assert row[2] in text
-        assert row[4] in html
-    assert "2395 in 6 segments, 1000 Hz" in text
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

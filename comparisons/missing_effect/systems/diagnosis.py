@@ -334,9 +334,10 @@ def _refitted_words(run: CheckRun) -> list[str]:
     for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True):
         if own < WORTH_SAYING * after:
             out.append(
-                f"{name} of {run.name}: with its parameters fitted to this very record "
-                f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is what "
-                "differs between the records, which the training records cannot tell."
+                f"{name} of {run.name}: with start and parameters fitted to this very record "
+                f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is its "
+                "start, which its first rows do not show well, what differs between the records, "
+                "or what the model still lacks and the fit makes up for."
             )
     return out
 
