@@ -14,7 +14,13 @@ from sklearn.utils.validation import check_is_fitted
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.levels import Level, search_by_levels
-from sindy_surge.discover.trajectories import LEAST_NOISE, Features, Trajectories
+from sindy_surge.discover.trajectories import (
+    LEAST_NOISE,
+    Features,
+    Trajectories,
+    listed,
+    times_of,
+)
 from sindy_surge.search import Tried
 from sindy_surge.segments import Segments
 from surge_core.errors import InputError, one_of
@@ -200,12 +206,12 @@ class SparseDynamics(BaseEstimator):
         from scipy.integrate import solve_ivp
 
         check_is_fitted(self)
-        times, start = np.ravel(t), np.ravel(x0)
+        times, start = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.ravel(x0)
         features, xi = self._features, self.coef_.T
         _as_fitted("x0", start.size, self.state_names_)
         if start.dtype.kind not in "fiu" or not np.isfinite(start).all():
             raise InputError("x0", expected="finite numbers", found=f"{x0}")
-        inputs = self._inputs(times, u)
+        inputs, held = self._inputs(times, u), bool(self.held_inputs_)
 
         def rate(time: float, state: FloatArray) -> FloatArray:
             z = np.reshape(inputs(time), (1, -1))
@@ -223,33 +229,36 @@ class SparseDynamics(BaseEstimator):
                 start.astype(np.float64),
                 t_eval=times,
                 # A held input must not be stepped over.
-                max_step=np.max(np.diff(times)) if self.held_inputs_ else np.inf,
+                max_step=np.min(abs(np.diff(times)), initial=np.inf) if held else np.inf,
                 events=lost,
                 rtol=1e-7,
                 atol=1e-9 * float(self._bound.min()),
             )
-        result[: run.y.shape[1]] = run.y.T
+        found = np.reshape(run.y, (xi.shape[1], -1))
+        result[: found.shape[1]] = found.T
+        result[0] = start
         return result
 
     def _inputs(self, times: FloatArray, u: Any) -> Callable[[float], FloatArray]:
         """Return the inputs as a function of time, between the rows as they were found."""
         from scipy.interpolate import CubicSpline
 
+        n = len(self.input_names_)
         if callable(u):
+            _as_fitted("u", np.size(u(times[0])), self.input_names_)
             called: Callable[[float], FloatArray] = u
             return called
-        n = len(self.input_names_)
-        given = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=np.float64)
-        given = given.reshape(len(given), -1)
+        given = listed("u", np.atleast_1d(u))[0] if u is not None else np.zeros((times.size, 0))
         _as_fitted("u", given.shape[1], self.input_names_)
-        # A clock that rises and finite inputs, as in `fit`.
-        run = Trajectories.of(np.zeros((times.size, 1)), times, given if n else None, fewest=2)
-        smooth = CubicSpline(run.time_s, run.u) if n else None
+        if n:
+            # A clock that rises, as in `fit`.
+            times_of(times, len(given))
+        smooth = CubicSpline(times, given) if n else None
         held = np.array([name in self.held_inputs_ for name in self.input_names_], dtype=np.bool_)
 
         def value(time: float) -> FloatArray:
-            row = max(int(np.searchsorted(run.time_s, time, side="right")) - 1, 0)
-            return run.u[row] if smooth is None else np.where(held, run.u[row], smooth(time))
+            row = max(int(np.searchsorted(times, time, side="right")) - 1, 0)
+            return given[row] if smooth is None else np.where(held, given[row], smooth(time))
 
         return value
 

@@ -18,6 +18,8 @@ from surge_core.types import FloatArray, IndexArray
 # them, and then on longer ones.
 _FULL_ROWS = (30, 60)
 _LONGER_ROWS = (300, None)
+# Log-units by which an input that is held must be ahead of a smooth one (Kass & Raftery 1995).
+_HELD = 5.0
 # A coefficient is at first believed to make no term larger than so many times the derivative.
 _LARGEST_TERM = 10.0
 # Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
@@ -36,8 +38,10 @@ def search_by_levels(
 ) -> tuple[list[Level], Tried[Fit]]:
     """Return the supports tried at each length of segments, the last first, and the best."""
     n_terms, n_states = problem.known.shape
+    # A product of inputs that exclude one another is nothing on the whole record.
+    there = problem.features.values(problem.data.y, problem.data.u).any(axis=0)
     equations = [
-        tuple(range(state * n_terms, (state + 1) * n_terms))
+        tuple((state * n_terms + np.flatnonzero(there)).tolist())
         for state in range(n_states)
         if state not in given
     ]
@@ -92,25 +96,26 @@ def _proposals(
 def _with_inputs(
     problem: Collocation, rates: FloatArray, free: IndexArray
 ) -> tuple[Fit, Collocation]:
-    """Fit the whole library with inputs that run smoothly through the rows, and with held ones.
+    """Fit the whole library with inputs smooth between rows, and with held ones.
 
-    Kept is what leaves less. Which inputs are held is asked of all at once, and of those that stand
-    still in most rows.
+    All are one or the other at first; then each is tried the other way. An input is held only where
+    that is clearly likelier.
     """
-    still = np.mean(np.diff(problem.data.u, axis=0) == 0.0, axis=0) > 0.5
-    ways = {(False,) * still.size, (True,) * still.size, tuple(still.tolist())}
-    found = [
-        _fit_all(replace(problem, data=replace(problem.data, held=np.array(held))), rates, free)
-        for held in sorted(ways)
-    ]
-    return min(found, key=lambda each: _left(*each))
 
+    def fitted(held: tuple[bool, ...]) -> tuple[float, Fit, Collocation]:
+        data = replace(problem.data, held=np.array(held, dtype=np.bool_))
+        fit, own = _fit_all(replace(problem, data=data), rates, free)
+        size = len(data.y) * float(np.sum(np.log(own.noise[~own.hidden])))
+        return size + _HELD * sum(held) if np.isfinite(fit.chi2) else np.inf, fit, own
 
-def _left(fit: Fit, problem: Collocation) -> float:
-    """Return the logarithm of what a fit leaves, infinite without one."""
-    if not np.isfinite(fit.chi2):
-        return np.inf
-    return float(np.sum(np.log(problem.noise[~problem.hidden])))
+    n = problem.data.u.shape[1]
+    tried = {held: fitted(held) for held in {(False,) * n, (True,) * n}}
+    for i in range(n if n > 1 else 0):
+        best = min(tried, key=lambda held: tried[held][0])
+        other = tuple(held != (i == j) for j, held in enumerate(best))
+        if other not in tried:
+            tried[other] = fitted(other)
+    return min(tried.values(), key=lambda each: each[0])[1:]
 
 
 def _fit_all(problem: Collocation, rates: FloatArray, free: IndexArray) -> tuple[Fit, Collocation]:
@@ -120,6 +125,7 @@ def _fit_all(problem: Collocation, rates: FloatArray, free: IndexArray) -> tuple
     theta = problem.features.values(x, problem.data.u)
     n_terms, n_states = problem.known.shape
     size = np.sqrt(np.mean(theta**2, axis=0))
+    size[size == 0.0] = 1.0
     prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
     ridge = (prior.T.ravel()[free]) ** -2.0
     scaled = theta / size

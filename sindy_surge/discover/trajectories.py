@@ -43,14 +43,6 @@ class Features:
                 found=f"{found.names[bad[0]]}, which is not",
                 remedy="leave the term out, or write it so that noise cannot leave its domain",
             )
-        still = np.flatnonzero(~found.values(x, u).any(axis=0))
-        if still.size:
-            raise InputError(
-                "library",
-                expected="terms that are not zero on the whole record",
-                found=f"{found.names[still[0]]}, which is",
-                remedy="leave the term out, or the input that never acts",
-            )
         return found
 
     @cached_property
@@ -100,7 +92,7 @@ class Features:
 
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
-# A spike is so many times what one second difference in a hundred exceeds: 50 standard deviations
+# A spike is so many times what one second difference in a hundred exceeds: 60 standard deviations
 # of noise.
 _SPIKE = 20.0
 # Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
@@ -120,23 +112,23 @@ class Trajectories:
     held: BoolArray
 
     @classmethod
-    def of(cls, x: Any, t: Any, u: Any = None, fewest: int = _FEWEST_ROWS) -> Trajectories:
+    def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
         """Read what a user passes, arrays or lists of arrays and times or a step, or refuse it."""
-        xs = _listed("x", x)
+        xs = listed("x", x)
         several = isinstance(t, list | tuple) and len(t) and np.ndim(t[0])
         ts = list(t) if several else [t] * len(xs)
-        us = _listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
+        us = listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
         _same("u", len(us), len(xs), "trajectories")
         _same("t", len(ts), len(xs), "trajectories")
         times = []
         for number, (states, inputs, each) in enumerate(zip(xs, us, ts, strict=True)):
             _same(f"u of trajectory {number}", len(inputs), len(states), "rows")
             _same(f"x of trajectory {number}", states.shape[1], xs[0].shape[1], "states")
-            times.append(_times(each, len(states)))
-            if len(states) < fewest:
+            times.append(times_of(each, len(states)))
+            if len(states) < _FEWEST_ROWS:
                 raise InputError(
                     f"x of trajectory {number}",
-                    expected=f"at least {fewest} rows",
+                    expected=f"at least {_FEWEST_ROWS} rows",
                     found=str(len(states)),
                     remedy="take a longer record",
                 )
@@ -144,6 +136,14 @@ class Trajectories:
         run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
         runs = Segments.from_labels(run, run.size)
         inputs = np.concatenate(us)
+        idle = np.flatnonzero(~inputs.any(axis=0))
+        if idle.size:
+            raise InputError(
+                "u",
+                expected="inputs that act",
+                found=f"only zeros in column {idle[0]}",
+                remedy="leave the input out",
+            )
         smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
         return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, smooth)
 
@@ -191,7 +191,8 @@ class Trajectories:
         return np.where(inner[:, None] & ~self.held, cubic, linear)
 
 
-def _listed(name: str, values: Any) -> list[FloatArray]:
+def listed(name: str, values: Any) -> list[FloatArray]:
+    """Return the arrays that a user passes, each of shape (n_rows, n_columns), or refuse them."""
     from sklearn.utils import check_array
 
     several = isinstance(values, list | tuple) and len(values) > 0 and np.ndim(values[0]) > 0
@@ -226,7 +227,10 @@ def _no_spikes(name: str, x: FloatArray) -> None:
     if len(bent) < _FEWEST_ROWS:
         return
     size = np.abs(bent)
-    far = size[1:-1] > _SPIKE * np.quantile(size, 0.99, axis=0)
+    # The three that a spike itself leaves are set aside; less than a step of the readings is none.
+    usual = np.sort(size, axis=0)[-4 - len(size) // 100]
+    step = [np.min(np.diff(np.unique(column)), initial=np.inf) for column in x.T]
+    far = size[1:-1] > _SPIKE * np.maximum(usual, step)
     for beside in (bent[:-2], bent[2:]):
         far &= (beside * bent[1:-1] < 0.0) & (np.abs(beside) > 0.25 * size[1:-1])
     rows, columns = np.nonzero(far)
@@ -237,11 +241,13 @@ def _no_spikes(name: str, x: FloatArray) -> None:
             name,
             expected="readings that follow one another",
             found=f"{found:g} in row {row} of column {column}, between {before:g} and {after:g}",
-            remedy="cut the record there and pass the parts as trajectories",
+            remedy="cut the record there and pass the parts as trajectories; sample faster if it "
+            "is real",
         )
 
 
-def _times(t: Any, rows: int) -> FloatArray:
+def times_of(t: Any, rows: int) -> FloatArray:
+    """Return the time of each row from times or a step, or refuse them."""
     if np.asarray(t).dtype.kind not in "fiu":
         raise InputError(
             "t",
