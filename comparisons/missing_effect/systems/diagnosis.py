@@ -337,7 +337,7 @@ def _refitted_words(run: CheckRun) -> list[str]:
                 f"{name} of {run.name}: with start and parameters fitted to this very record "
                 f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is its "
                 "start, which its first rows do not show well, what differs between the records, "
-                "or what the model still lacks and the fit makes up for."
+                "or what the model still lacks: the training records cannot tell."
             )
     return out
 
