@@ -89,6 +89,8 @@ class Policy:
         squared plain errors on held-out rows.
     stops_clean : bool
         Whether the search ends once what is left is chance.
+    aliases_refitted : bool
+        Whether each of an alias set must stand in the model that was found, fitted again.
     """
 
     term: Tie
@@ -103,6 +105,7 @@ class Policy:
     further_share: float = 0.0
     further_raw: float = 0.0
     stops_clean: bool = False
+    aliases_refitted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +228,10 @@ class System(ABC, Generic[A, F]):
     @abstractmethod
     def without_needless(self, one: A) -> System[A, F] | None:
         """Return the model without something it has, fitted again, if it can do without."""
+
+    def with_refined(self, plain: A, refined: Candidate[A, F]) -> System[A, F] | None:
+        """Return it with a refined form for its plain form and what acts beside that, if alike."""
+        return None
 
     def judged(self, candidate: Candidate[A, F]) -> Candidate[A, F]:
         """Return a weighed candidate with what this kind of system says of it beside."""

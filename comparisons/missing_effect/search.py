@@ -64,7 +64,7 @@ def search(
     if pruned is not here:
         left = pruned.leftover(None, effects, library)
         rounds[-1] = replace(rounds[-1], leftover=left)
-    return pruned, rounds
+    return _refined(pruned, rounds)
 
 
 def search_round(
@@ -245,6 +245,28 @@ def _pruned(system: System[A, F]) -> System[A, F]:
     return system
 
 
+def _refined(
+    system: System[A, F], rounds: Sequence[Round[A, F]]
+) -> tuple[System[A, F], list[Round[A, F]]]:
+    """Let one refined form speak for its plain form and for what was found beside that.
+
+    What a plain form leaves of the refined one is no effect of its own: a motor with Stribeck
+    friction read Coulomb friction and a softening damping.
+    """
+    for step in rounds:
+        for refined in step.aliases[1:]:
+            plain = step.aliases[0].added[0]
+            more = len(refined.added) == 1 and plain.is_plain_form_of(refined.added[0])
+            less = system.with_refined(plain, refined) if more and plain in system.found else None
+            if less is not None:
+                others = [c for c in step.aliases if c is not refined]
+                spoken = replace(step, winner=refined, aliases=(refined, *others))
+                own, keys = _held_against(spoken, refined, step.bench), {e.key for e in less.found}
+                every = [own if s is step else s for s in rounds]
+                return less, [s for s in every if s.winner is None or s.winner.keys <= keys]
+    return system, list(rounds)
+
+
 def alias_sets(
     system: System[A, F], rounds: Sequence[Round[A, F]], effects: Sequence[Any]
 ) -> dict[Hashable, tuple[Candidate[A, F], ...]]:
@@ -255,7 +277,8 @@ def alias_sets(
     out: dict[Hashable, tuple[Candidate[A, F], ...]] = {}
     for one in system.found:
         step = next((s for s in rounds if s.winner is not None and one.key in s.winner.keys), None)
-        if step is not None and len(system.found) == len(step.aliases[0].added) == 1:
+        single = step is not None and len(system.found) == len(step.aliases[0].added) == 1
+        if step is not None and single and not system.policy.aliases_refitted:
             out[one.key] = step.aliases
         else:
             out[one.key] = system.stand_ins(one, step, effects)

@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover
+from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.results import CORRELATION, MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import (
@@ -160,8 +161,11 @@ def _concluded(
     records = base.records
     before, before_cov, metric = _whole(base)
     after, after_cov = before, before_cov
-    if bench.fit.structure.effects:
-        after, after_cov, metric = _whole(bench)
+    found = bench.fit.structure.effects
+    if found:
+        whole = _whole(bench)
+        if not whole[0].failed:
+            after, after_cov, metric = whole
     added = after.structure.effects
     keys = {e.key for e in added}
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
@@ -174,7 +178,11 @@ def _concluded(
         later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
         missing = (*missing[:1], *later)
     open_ = not missing and (
-        base.fit.failed or _foretells_badly(base) or left.structured or left.disturbed
+        base.fit.failed
+        or bool(found)
+        or _foretells_badly(base)
+        or left.structured
+        or left.disturbed
     )
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
@@ -182,10 +190,10 @@ def _concluded(
         missing=missing,
         parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
-        remarks=(*_remarks(base, rounds, missing, left), *remarks),
+        remarks=(*_remarks(base, rounds, missing, left, found), *remarks),
         model=model,
         records=records,
-        rounds=rounds,
+        rounds=rounds if missing else rounds[:1],
         before=before,
         after=after,
         offsets=_offsets(model, after, after_cov),
@@ -343,9 +351,19 @@ def _refitted_words(run: CheckRun) -> list[str]:
 
 
 def _remarks(
-    base: Bench, rounds: Sequence[ModelRound], missing: Sequence[MissingEffect], left: Leftover
+    base: Bench,
+    rounds: Sequence[ModelRound],
+    missing: Sequence[MissingEffect],
+    left: Leftover,
+    found: Sequence[Placed],
 ) -> tuple[str, ...]:
-    out = []
+    model, out = base.records.model, []
+    if found and not missing:
+        name = plain_name(label_of(found, model))
+        return (
+            f"With {name} the model fits part of the training rows and runs away on all of them, "
+            "so that it is not added: what is missing is near to that, or another.",
+        )
     if not base.fit.failed and (left.structured or left.disturbed):
         out.append(left_words(left, bool(missing)))
     if base.fit.failed:
@@ -360,11 +378,11 @@ def _remarks(
             "alone. Give records in which it acts earlier, or several."
         )
     last = rounds[-1] if rounds else None
-    model, found = base.records.model, {item.label for item in missing}
+    labels = {item.label for item in missing}
     if last is None or last.winner is None:
         return tuple(out)
-    if not all(placed.label(model) in found for placed in last.winner.added):
-        label = label_of(last.winner.added, model)
+    if not all(placed.label(model) in labels for placed in last.winner.added):
+        label = plain_name(label_of(last.winner.added, model))
         share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
         kind = "a term without a name" if last.winner.unnamed else "small"
         out.append(f"{label} would explain {share} that are left; {kind}, and not added.")

@@ -8,6 +8,7 @@ import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
@@ -44,7 +45,9 @@ def doubts_of(
     assert winner is not None
     out = []
     amplitude = bool(numbers) and placed.effect.linear
-    if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
+    if amplitude and not np.isfinite(numbers[0].stderr):
+        out.append(f"the error of {numbers[0].name} is not known")
+    elif amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
     if step.rivalled:
@@ -62,10 +65,8 @@ def doubts_of(
     rival = step.rival
     if rival is not None and step.rival_p > REJECTED:
         share = 100.0 * rival.rank / winner.rank
-        out.append(
-            f"{label_of(rival.added, model)} explains {share:.0f} % as much, and the record does "
-            "not reject it"
-        )
+        name = plain_name(label_of(rival.added, model))
+        out.append(f"{name} explains {share:.0f} % as much, and the record does not reject it")
     if worse:
         names = ", ".join(run.name for run in worse)
         out.append(f"the error on {names} got no better by it")

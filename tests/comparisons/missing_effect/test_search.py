@@ -22,7 +22,8 @@ NOISE = RNG.standard_normal(N)
 # Nearly a; and what stands for a and b together until both are there.
 TABLE["like a"] = TABLE["a"] + 0.03 * RNG.standard_normal(N)
 TABLE["a and b"] = TABLE["a"] + 0.8 * TABLE["b"] + 0.4 * RNG.standard_normal(N)
-POLICY = Policy(term=Tie(12.0, 0.02, 2.33, 0.7))
+TABLE["a refined"] = TABLE["a"] + 0.3 * TABLE["b"]
+POLICY = Policy(term=Tie(12.0, 0.02, 2.33, 0.7), plain_speaks=True)
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Column:
         return self.name
 
     def is_plain_form_of(self, other: Any) -> bool:
-        return False
+        return f"{self.name} refined" == other.name
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,11 @@ class Table(System[Column, Linear]):
         lost = 0.5 * float(rest.errors @ rest.errors - self.fit.errors @ self.fit.errors)
         return replace(self, fit=rest) if lost < 0.5 * np.log(N) else None
 
+    def with_refined(self, plain: Column, refined: Candidate[Column, Linear]) -> Table | None:
+        alone = self.fit.with_effects(*refined.added)
+        same = alone.errors @ alone.errors < self.fit.errors @ self.fit.errors + 24.0
+        return replace(self, fit=alone) if same else None
+
 
 def found_in(y: np.ndarray, names: str, library: str = "", most: int = 3) -> dict[Any, set[str]]:
     """Names of what is found, each with its alias set."""
@@ -127,3 +133,8 @@ def test_a_name_speaks_unless_a_term_without_one_is_clearly_better() -> None:
 def test_what_stood_in_for_two_is_taken_out_once_both_are_there() -> None:
     y = 2.0 * (TABLE["a"] + TABLE["b"]) + NOISE
     assert set(found_in(y, "a, b, c, a and b")) == {"a", "b"}
+
+
+def test_a_refined_form_speaks_for_its_plain_one_and_what_that_leaves() -> None:
+    y = 4.0 * TABLE["a refined"] + NOISE
+    assert set(found_in(y, "a, b, a refined")) == {"a refined"}

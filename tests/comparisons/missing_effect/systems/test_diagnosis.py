@@ -191,6 +191,13 @@ def test_what_acts_in_the_held_out_rows_alone_is_not_called_nothing() -> None:
     assert any("acts there alone" in remark for remark in found.remarks)
 
 
+def test_what_makes_the_model_run_away_is_not_named() -> None:
+    """A sine of the way, for which a cubic spring that softens stands until it gives way."""
+    found = diagnosed("body", 3, 1, force=lambda t, q, v: -30.0 * math.sin(q / 0.3))
+    assert (found.verdict, found.missing) == ("unexplained_structure", ())
+    assert "runs away" in found.remarks[0]
+
+
 def test_what_differs_between_the_records_is_told_apart_from_what_is_missing() -> None:
     """The pipe of the check record is rougher: no fit to the training record can know."""
     fit = make.experiment("pipe", truth.pipe(1, TRAIN, noise=NOISE, drag=0.3), "training")

@@ -15,26 +15,9 @@ from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.words import verdict_words
 from surge_core.files import to_strict_json
 
-KEYS = {
-    "schema",
-    "verdict",
-    "words",
-    "missing",
-    "gap",
-    "time_constant_s",
-    "where",
-    "candidates",
-    "cannot_be_told",
-    "not_there",
-    "parameters",
-    "timing_offsets",
-    "input_between_samples",
-    "test_rmse",
-    "training_rmse",
-    "unavailable",
-    "remarks",
-    "model",
-}
+KEYS = {"schema", "verdict", "words", "missing", "gap", "time_constant_s", "where", "candidates"}
+KEYS |= {"cannot_be_told", "not_there", "parameters", "timing_offsets", "input_between_samples"}
+KEYS |= {"test_rmse", "training_rmse", "unavailable", "remarks", "model"}
 
 
 def refuse(word: str) -> float:
