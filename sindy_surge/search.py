@@ -100,17 +100,48 @@ class Search(Generic[Fit]):
         near: dict[Support, float] = {}
         far: dict[Support, float] = {}
         for equation in self.equations:
-            others = tuple(i for i in equation if i not in best.support)
-            for left_out in (None, *(i for i in best.support if i in equation)):
-                kept = tuple(i for i in best.support if i != left_out)
-                ranked = best_of_equation(linear, others, kept, self.price, 1)
-                near |= {support: score for score, support in ranked}
-            kept = tuple(i for i in best.support if i not in equation)
-            ranked = best_of_equation(linear, equation, kept, self.price)
-            far |= {support: score for score, support in ranked}
+            close, wide = self._ranked(linear, best, equation, _LOOKED_AT)
+            near, far = near | close, far | wide
         for found in (near, far):
             untried = [s for s in found if found[s] < limit and s not in self.tried]
             yield from sorted(untried, key=lambda s: found[s])[:_FITTED_A_ROUND]
+
+    def _ranked(
+        self, linear: LinearProblem, best: Tried[Fit], equation: Support, looked_at: int
+    ) -> tuple[dict[Support, float], dict[Support, float]]:
+        """Return the scores of supports apart in one equation: one term away, and the best."""
+        near: dict[Support, float] = {}
+        others = tuple(i for i in equation if i not in best.support)
+        for left_out in (None, *(i for i in best.support if i in equation)):
+            kept = tuple(i for i in best.support if i != left_out)
+            ranked = best_of_equation(linear, others, kept, self.price, 1, looked_at)
+            near |= {support: score for score, support in ranked}
+        kept = tuple(i for i in best.support if i not in equation)
+        ranked = best_of_equation(linear, equation, kept, self.price, looked_at=looked_at)
+        return near, {support: score for score, support in ranked}
+
+    def complete(self, best: Tried[Fit], margin: float) -> Tried[Fit]:
+        """Fit all that the regression puts within a margin, up to the first that is better.
+
+        On few rows so many models score alike that a climb fits a part of them only, and never
+        those that are apart in two equations.
+        """
+        linear = self.likelihood.regression(best.fit)
+        base = linear.score(best.support, self.price)
+        behind: dict[Support, float] = {(): 0.0}
+        for equation in self.equations:
+            near, far = self._ranked(linear, best, equation, _WIDTH)
+            behind = {
+                (*others, *(i for i in support if i in equation)): sum_
+                for others, one in behind.items()
+                for support, score in (near | far).items()
+                if (sum_ := one + score - base) < margin
+            }
+        for support in sorted(behind, key=lambda s: behind[s])[:_WIDTH]:
+            trial = self.try_support(support, best.fit, "rival")
+            if trial.score < best.score:
+                return trial
+        return best
 
     def rivals(self, best: Tried[Fit], margin: float) -> list[Tried[Fit]]:
         """Return the other supports that scored almost as well, best first."""
@@ -129,17 +160,22 @@ class Search(Generic[Fit]):
 
 
 def best_of_equation(
-    linear: LinearProblem, equation: Support, kept: Support, price: float, most: int | None = None
+    linear: LinearProblem,
+    equation: Support,
+    kept: Support,
+    price: float,
+    most: int | None = None,
+    looked_at: int = _LOOKED_AT,
 ) -> list[tuple[float, Support]]:
     """Return the scores of the best supports of each size of one equation, beside terms kept.
 
-    A term costs ``price``, in χ²; the equation has ``most`` terms.
+    A term costs ``price``, in χ²; the equation has ``most`` terms, ``looked_at`` of each size.
     """
     rest, variance = linear.beside(kept, equation), linear.variance
     found = [(rest.chi2(()) / variance + price * len(kept), kept)]
     least, last = found[0][0], 0
     for size, ranked in islice(_beams(rest, _WIDTH), most):
-        scores = [chi2 / variance + price * (size + len(kept)) for chi2, _ in ranked[:_LOOKED_AT]]
+        scores = [chi2 / variance + price * (size + len(kept)) for chi2, _ in ranked[:looked_at]]
         if scores[0] < least:
             least, last = scores[0], size
         elif size >= last + _SIZES_BEYOND:

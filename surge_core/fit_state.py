@@ -122,6 +122,11 @@ class FitState(StrEnum):
         "bent towards them: look at the rows in which `x_` is farthest from x, and cut the record "
         "there",
     )
+    UNDECIDED = (
+        "undecided",
+        "the rivals are together likelier than the equations stated: the record does not tell "
+        "which terms are true; use a longer record that visits more states, or a smaller library",
+    )
     NO_EQUATIONS = (
         "no_equations",
         "no model was found that the data follow, and none is stated: check that every state was "

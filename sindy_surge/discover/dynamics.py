@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
-from sindy_surge.discover.levels import Level, search_by_levels
+from sindy_surge.discover.levels import RIVAL, Level, search_by_levels
 from sindy_surge.discover.trajectories import (
     LEAST_NOISE,
     Features,
@@ -29,8 +29,6 @@ from surge_core.types import BoolArray, FloatArray
 
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
-# Two supports whose scores, in χ², are closer than this are rivals (Kass & Raftery 1995).
-_RIVAL = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
 # What is left over the noise that differences show, before a run of it withholds the equations.
@@ -400,7 +398,7 @@ class SparseDynamics(BaseEstimator):
         self.x_ = best.fit.x
         self.rivals_ = tuple(
             Rival(self._terms_of(t, problem.known), 0.5 * (t.score - best.score))
-            for t in search.rivals(best, _RIVAL)
+            for t in search.rivals(best, RIVAL)
         )
         self.inclusion_probability_ = search.inclusion(self.coef_.size).reshape(-1, n_terms)
         self.path_ = tuple(
@@ -443,17 +441,19 @@ class SparseDynamics(BaseEstimator):
         least = np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
         coloured = (np.std(left, axis=0) > least) & _coloured(left, problem.data.runs)
         large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
-        if np.any(coloured & large):
-            return FitState.UNEXPLAINED
-        if problem.rows is not None:
-            return FitState.SHORT_RUNS_ONLY
-        if np.any(coloured):
-            return FitState.COLOURED_REST
         # The largest of so many normal numbers; one run may be noisier than another.
         most = norm.isf(_BY_CHANCE / (2.0 * left.size))
         runs = [left[rows] for rows in problem.data.runs.slices()]
         far = [abs(own) > most * np.maximum(np.std(own, axis=0), least) for own in runs]
-        return FitState.ODD_ROWS if any(map(np.any, far)) else FitState.OK
+        found = {
+            FitState.UNEXPLAINED: np.any(coloured & large),
+            FitState.SHORT_RUNS_ONLY: problem.rows is not None,
+            FitState.COLOURED_REST: np.any(coloured),
+            FitState.ODD_ROWS: any(map(np.any, far)),
+            # The weight of a model is e to its score.
+            FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
+        }
+        return next((state for state, is_so in found.items() if is_so), FitState.OK)
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

@@ -18,6 +18,8 @@ from surge_core.types import FloatArray, IndexArray
 # them, and then on longer ones.
 _FULL_ROWS = (30, 60)
 _LONGER_ROWS = (300, None)
+# Two supports whose scores, in χ², are closer than this are rivals (Kass & Raftery 1995).
+RIVAL = 10.0
 # Log-units by which an input that is held must be ahead of a smooth one (Kass & Raftery 1995).
 _HELD = 5.0
 # A coefficient is at first believed to make no term larger than so many times the derivative.
@@ -73,6 +75,8 @@ def search_by_levels(
             break
         best = level.climb(start)
         levels.insert(0, level)
+    while (better := levels[0].complete(best, RIVAL)) is not best:
+        best = levels[0].climb(better)
     return levels, best
 
 

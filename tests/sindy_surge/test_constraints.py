@@ -104,26 +104,3 @@ def test_search_with_required_terms_is_that_of_all_supports_that_hold_them() -> 
     for support in proposals(problem, "SSR", 5, (2, 5)):
         assert {2, 5} <= set(support)
         assert problem.chi2(support) >= 2.0
-
-
-def test_signs_hold_for_what_is_printed_also_beside_terms_with_psi_p() -> None:
-    from .conftest import PERIOD_S, TAU_S, relaxation_wave
-
-    rng = np.random.default_rng(3)
-    step, n = PERIOD_S / 8, 3000
-    fine = relaxation_wave(8 * n, step, rng)
-    psi_p = np.empty(fine.size)
-    psi_p[0] = 0.6
-    # Heun's rule: second order, at an eighth of the sample period.
-    for k in range(fine.size - 1):
-        p, q, v = fine[k], fine[k + 1], psi_p[k]
-        first = (0.6 + 0.3 * p - p**2 - v * p - v) / TAU_S
-        w = v + step * first
-        psi_p[k + 1] = v + step / 2 * (first + (0.6 + 0.3 * q - q**2 - w * q - w) / TAU_S)
-    phi, measured = fine[::8], psi_p[::8]
-    phi = phi + 0.005 * phi.std() * rng.standard_normal(n)
-    measured = measured + 0.005 * measured.std() * rng.standard_normal(n)
-    model = SparseLagRegressor(constraints={"phi": "positive"}, n_bootstrap=0)
-    model.fit(phi[:, None], measured)
-    assert set(model.terms_) == {"1", "phi", "phi^2", "psi_p phi"}
-    assert model.coef_[model.terms_.index("phi")] == pytest.approx(0.3, abs=0.1)

@@ -54,10 +54,7 @@ def test_whitening_matches_the_dense_covariance(
 def test_fourth_differences_find_the_noise(surge: Callable[..., Any], noise: float) -> None:
     record = surge("quadratic", noise, 5)
     whole = Segments.from_labels(None, record.phi.size)
-    for noisy, clean in (
-        (record.phi, record.clean_phi),
-        (record.psi_p, record.clean_psi_p),
-    ):
+    for noisy, clean in ((record.phi, record.clean_phi), (record.psi_p, record.clean_psi_p)):
         found = difference_noise(noisy, whole)
         # Sampling error of the median: about 2/sqrt(n) = 3 %.
         assert found == pytest.approx(noise * clean.std(), rel=0.12)

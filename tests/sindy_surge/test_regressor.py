@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pysindy.feature_library import PolynomialLibrary
+from scipy.signal import lfilter
 
 from sindy_surge import FitState, InputError, SparseLagRegressor
 
@@ -117,8 +118,6 @@ def test_vanishing_lag_is_called_so(surge: Callable[..., Any], hold: str) -> Non
 
 
 def test_coloured_noise_is_whitened(surge: Callable[..., Any]) -> None:
-    from scipy.signal import lfilter
-
     z = []
     for seed in range(2):
         clean = surge("quadratic", 0.0, 20 + seed)
@@ -230,10 +229,7 @@ def test_strong_colour_does_not_pass_for_terms_with_psi_p(surge: Callable[..., A
     for seed in (9, 11):
         record = surge("cubic", 0.01, seed, 2000)
         white = np.random.default_rng(seed).standard_normal(2000)
-        colour = np.empty(2000)
-        colour[0] = white[0]
-        for k in range(1, 2000):
-            colour[k] = 0.951 * colour[k - 1] + 0.309 * white[k]
+        colour = lfilter([0.309], [1, -0.951], white)
         psi_p = record.psi_p + 0.05 * record.psi_p.std() * colour
         model = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], psi_p)
         near = abs(model.time_constant_s_ - 0.018) < 6 * model.time_constant_stderr_s_

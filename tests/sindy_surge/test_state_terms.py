@@ -16,6 +16,10 @@ TRUTHS = {
         lambda p, v: 0.35 + 1.4 * p - 1.9 * p**2 - v * p,
         {"1": 0.35, "phi": 1.4, "phi^2": -1.9, "psi_p phi": -1.0},
     ),
+    "psi_p phi, phi rises": (
+        lambda p, v: 0.6 + 0.3 * p - p**2 - v * p,
+        {"1": 0.6, "phi": 0.3, "phi^2": -1.0, "psi_p phi": -1.0},
+    ),
     "psi_p^2": (
         lambda p, v: 0.65 + 1.2 * p - 1.9 * p**2 - 1.5 * v**2,
         {"1": 0.65, "phi": 1.2, "phi^2": -1.9, "psi_p^2": -1.5},
@@ -65,6 +69,14 @@ def test_structures_with_psi_p_are_recovered(name: str, noise: float) -> None:
         assert any("about the mean" in caution for caution in model.cautions_)
     assert np.max(np.abs(scores)) < 5
     assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+def test_signs_hold_for_what_is_printed_also_beside_terms_with_psi_p() -> None:
+    phi, psi_p = _record("psi_p phi, phi rises", 0.005, 3)
+    model = SparseLagRegressor(constraints={"phi": "positive"}, n_bootstrap=0)
+    model.fit(phi[:, None], psi_p)
+    assert set(model.terms_) == {"1", "phi", "phi^2", "psi_p phi"}
+    assert model.coef_[model.terms_.index("phi")] == pytest.approx(0.3, abs=0.1)
 
 
 def test_curve_at_rest_solves_the_equation() -> None:
