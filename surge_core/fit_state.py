@@ -122,6 +122,12 @@ class FitState(StrEnum):
         "bent towards them: look at the rows in which `x_` is farthest from x, and cut the record "
         "there",
     )
+    LIBRARY_TOO_SMALL = (
+        "library_too_small",
+        "a product of a term with a state or an input, which the library lacks, would explain more "
+        "than it costs: the terms stated make up for another law, such as x/(1 + x): widen the "
+        "library",
+    )
     UNDECIDED = (
         "undecided",
         "the rivals are together likelier than the equations stated: the record does not tell "

@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
-from sindy_surge.discover.levels import RIVAL, Level, search_by_levels
+from sindy_surge.discover.levels import RIVAL, Level, pays_beyond, search_by_levels
 from sindy_surge.discover.trajectories import (
     LEAST_NOISE,
     Features,
@@ -453,7 +453,10 @@ class SparseDynamics(BaseEstimator):
             # The weight of a model is e to its score.
             FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
         }
-        return next((state for state, is_so in found.items() if is_so), FitState.OK)
+        state = next((state for state, is_so in found.items() if is_so), FitState.OK)
+        asked = state in (FitState.OK, FitState.UNDECIDED) and np.any(np.std(left, axis=0) > least)
+        small = asked and pays_beyond(self.search_, best)
+        return FitState.LIBRARY_TOO_SMALL if small else state
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

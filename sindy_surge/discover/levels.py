@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.discover.collocation import Collocation, Fit
-from sindy_surge.discover.trajectories import LEAST_NOISE
+from sindy_surge.discover.trajectories import LEAST_NOISE, WiderFeatures
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.search import Search, Tried, best_of_equation, chosen_support
 from surge_core.types import FloatArray, IndexArray
@@ -78,6 +78,24 @@ def search_by_levels(
     while (better := levels[0].complete(best, RIVAL)) is not best:
         best = levels[0].climb(better)
     return levels, best
+
+
+def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
+    """Tell whether a product of a term with a state or an input would pay its price.
+
+    Cubics follow x/(1 + x) within the noise, and what they leave is as good as white; x⁴ sees it.
+    """
+    problem = level.likelihood
+    n = problem.known.shape[0]
+    wide = WiderFeatures.of_features(problem.features, best.fit.x, problem.data.u)
+    more = wide.kept.size - n
+    known, xi = (np.pad(each, ((0, more), (0, 0))) for each in (problem.known, best.fit.xi))
+    linear = replace(problem, features=wide, known=known).regression(replace(best.fit, xi=xi))
+    free = {i // n for equation in level.equations for i in equation}
+    beyond = tuple(s * (n + more) + n + i for s in sorted(free) for i in range(more))
+    kept = tuple(i // n * (n + more) + i % n for i in best.support)
+    price = level.price + 2.0 * float(np.log((n + more) / n))
+    return min(best_of_equation(linear, beyond, kept, price, 1, 1))[1] != kept
 
 
 def _proposals(

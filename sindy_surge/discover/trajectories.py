@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from sindy_surge.candidate_terms import fitted_library
+from sindy_surge.candidate_terms import fitted_library, independent_columns
 from sindy_surge.library import monomials
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
@@ -19,6 +19,8 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Central differences: the cube root of the rounding error, as a share of each state's size.
 _STEP = 6e-6
+# A product whose share that no other terms reproduce is less than this says nothing of its own.
+_ALIAS = 1e-6
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,39 @@ class Features:
                 remedy="write it as the library does",
             )
         return self.names.index(plain)
+
+
+@dataclass(frozen=True)
+class WiderFeatures(Features):
+    """The terms of a library, and the products of each with a state or an input."""
+
+    kept: IntArray  # Columns of terms and products that no earlier ones reproduce
+
+    @classmethod
+    def of_features(cls, features: Features, x: FloatArray, u: FloatArray) -> WiderFeatures:
+        """Return the terms of a library, which come first, and its products on a record."""
+        n = len(features.names)
+        every = cls(features.library, features.names, features.size, np.arange(0))
+        kept = independent_columns(every._with_products(x, u), _ALIAS)
+        return replace(every, kept=np.concatenate((np.arange(n), kept[kept >= n])))
+
+    def _with_products(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        own = super().values(x, u)
+        factors = np.column_stack((np.ones(len(x)), x, u))
+        return (factors[:, :, None] * own[:, None, :]).reshape(len(x), -1)
+
+    def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the terms and products (n_rows, n_terms) at states and inputs (n_rows, …)."""
+        return self._with_products(x, u)[:, self.kept]
+
+    def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states)."""
+        own, slopes = super().values(x, u), super().derivatives(x, u)
+        factors = np.column_stack((np.ones(len(x)), x, u))
+        found = factors[:, :, None, None] * slopes[:, None]
+        for j in range(x.shape[1]):
+            found[:, 1 + j, :, j] += own
+        return found.reshape(len(x), -1, x.shape[1])[:, self.kept]
 
 
 # Fewer rows than this hold no more than their own noise.

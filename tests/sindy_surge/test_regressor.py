@@ -46,9 +46,8 @@ def many(surge: Callable[..., Any]) -> list[tuple[str, SparseLagRegressor]]:
     for curve in ("quadratic", "hinge", "reverse"):
         for seed in range(60, 64):
             record = surge(curve, 0.02, seed)
-            fits.append(
-                (curve, SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], record.psi_p))
-            )
+            model = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
+            fits.append((curve, model))
     return fits
 
 

@@ -14,18 +14,17 @@ STEP_S = 0.02
 TRUTH = {"x": {"y": 1.0}, "y": {"x": -1.0, "y": 2.0, "x^2 y": -2.0}}
 
 
-def van_der_pol(rng, noise=0.02, rows=1000, n=2, scale=(1.0, 1.0)):
-    def rate(_, z):
-        return [z[1], -z[0] + 2.0 * (1.0 - z[0] ** 2) * z[1]]
+def solved(rate, start, t):
+    return solve_ivp(lambda _, z: rate(*z), (0, t[-1]), start, t_eval=t, rtol=1e-9).y.T
+
+
+def van_der_pol(rng, noise=0.02, rows=1000, n=2):
+    def rate(x, y):
+        return [y, -x + 2.0 * (1.0 - x**2) * y]
 
     times = np.arange(rows) * STEP_S
-    runs = [
-        solve_ivp(rate, (0, times[-1]), rng.uniform(-2, 2, 2), t_eval=times, rtol=1e-9).y.T
-        for _ in range(n)
-    ]
-    return [
-        (run + noise * run.std(axis=0) * rng.standard_normal(run.shape)) * scale for run in runs
-    ], times
+    runs = [solved(rate, rng.uniform(-2, 2, 2), times) for _ in range(n)]
+    return [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs], times
 
 
 def fitted(seed, **options):
@@ -53,14 +52,10 @@ def test_terms_are_exact_and_errors_cover(models):
     assert 0.65 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
-def test_noise_is_estimated(models):
-    x, _ = van_der_pol(np.random.default_rng(0), noise=0.0)
+def test_noise_is_estimated_and_simulation_returns_to_the_measured_cycle(models):
+    x, t = van_der_pol(np.random.default_rng(0), noise=0.0)
     true = 0.02 * np.mean([each.std(axis=0) for each in x], axis=0)
     assert models[0].noise_ == pytest.approx(true, rel=0.06)
-
-
-def test_simulation_returns_to_the_measured_cycle(models):
-    x, t = van_der_pol(np.random.default_rng(0), noise=0.0)
     run = models[0].simulate(x[0][0], t)
     assert np.abs(run - x[0]).max() < 0.15
     assert models[0].score(x, t) > 0.999
@@ -167,23 +162,31 @@ def test_a_missing_state_is_not_called_ok():
     assert model.state_.code in ("unexplained", "no_equations")
 
 
-def swinging(force, start, t):
-    return solve_ivp(lambda _, z: [z[1], force(*z)], (0, t[-1]), start, t_eval=t, rtol=1e-9).y.T
-
-
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_term_that_the_library_lacks_is_not_called_ok(seed):
-    """A pendulum by cubic terms leaves 1.03 times the noise: little, but not white."""
+@pytest.mark.parametrize(
+    ("rate", "starts", "noise", "state"),
+    [
+        (lambda q, w: [w, -np.sin(q) - 0.1 * w], [2], 0.02, "coloured_rest"),
+        (
+            lambda x, y: [y - 2 * x / (1 + x), 0.6 - y * (0.3 + x)],
+            [2, 4],
+            0.01,
+            "library_too_small",
+        ),
+    ],
+)
+def test_a_term_that_the_library_lacks_is_not_called_ok(rate, starts, noise, state, seed):
+    """Cubics leave 1.03 times a pendulum's noise, not white, and of x/(1 + x) what x⁴ sees."""
     rng, t = np.random.default_rng(seed), np.arange(1500) * STEP_S
-    run = swinging(lambda q, w: -np.sin(q) - 0.1 * w, [2.0, 0.0], t)
-    noisy = run + 0.02 * run.std(axis=0) * rng.standard_normal(run.shape)
-    assert SparseDynamics().fit(noisy, t).state_.code == "coloured_rest"
+    runs = [solved(rate, [start, 0.0], t) for start in starts]
+    noisy = [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs]
+    assert SparseDynamics().fit(noisy, t).state_.code == state
 
 
 def test_on_few_rows_the_truth_is_stated_or_among_rivals_that_are_likelier():
     """Half a swing on 40 rows: of eight answers that are no truth one at most is called ok."""
     t, ended = np.arange(40) * 0.05, []
-    run = swinging(lambda q, w: -q - 0.2 * w, [2.0, 0.0], t)
+    run = solved(lambda q, w: [w, -q - 0.2 * w], [2.0, 0.0], t)
     for seed in range(8):
         noise = 0.02 * run.std(axis=0) * np.random.default_rng(seed).standard_normal(run.shape)
         model = SparseDynamics().fit(run + noise, t)
@@ -201,7 +204,7 @@ def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
     rng, t = np.random.default_rng(7), np.arange(1200 // len(sizes)) * 0.1
     runs = []
     for size in sizes:
-        run = swinging(lambda q, w: -q - 0.05 * w, rng.uniform(-2, 2, 2), t)
+        run = solved(lambda q, w: [w, -q - 0.05 * w], rng.uniform(-2, 2, 2), t)
         runs.append(run + size * rng.standard_normal(run.shape))
     assert SparseDynamics().fit(runs, t).state_.code == "ok"
 
