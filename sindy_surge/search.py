@@ -230,7 +230,7 @@ def proposals(
 def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     from pysindy.optimizers import FROLS, SSR, STLSQ
 
-    if not isinstance(optimizer, str) and hasattr(optimizer, "fit"):
+    if hasattr(optimizer, "fit") and not isinstance(optimizer, type):
         # A copy: pysindy's optimizers carry state from one fit to the next.
         return [copy.deepcopy(optimizer)]
     n_terms = linear.columns.shape[1]
@@ -252,6 +252,7 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
         "optimizer",
         expected=f"one of {', '.join(OPTIMIZERS)} or a pysindy optimizer",
         found=repr(optimizer),
+        remedy=f"pass {optimizer.__name__}(...)" if isinstance(optimizer, type) else "",
     )
 
 

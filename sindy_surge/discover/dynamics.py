@@ -115,7 +115,7 @@ class SparseDynamics(BaseEstimator):
         x : array-like of shape (n_rows, n_states), or list of such
             One or several trajectories.
         t : float, array-like of shape (n_rows,), or list of such
-            Sample period, or times.
+            Sample period, or times; a list has one for each trajectory.
         u : array-like of shape (n_rows, n_inputs), or list of such, optional
             Inputs.
         feature_names : sequence of str, optional
@@ -304,8 +304,7 @@ class SparseDynamics(BaseEstimator):
         _check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
         states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
-        known = {name: dict(given) for name, given in (self.known or {}).items()}
-        self._check_known(known)
+        known = self._checked_known()
         noise = data.noise
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
@@ -321,7 +320,20 @@ class SparseDynamics(BaseEstimator):
         self._known, self._hidden = known, hidden
         return Collocation(data, features, noise, given, hidden), self._rates(data)
 
-    def _check_known(self, known: dict[str, dict[str, float]]) -> None:
+    def _checked_known(self) -> dict[str, dict[str, float]]:
+        try:
+            equations = dict(self.known or {})
+            known = {s: {n: float(v) for n, v in dict(e).items()} for s, e in equations.items()}
+            finite = all(np.isfinite(list(given.values())).all() for given in known.values())
+        except (TypeError, ValueError):
+            finite = False
+        if not finite:
+            raise InputError(
+                "known",
+                expected="finite coefficients by state and term",
+                found=f"{self.known!r}",
+                remedy="write it as {'x': {'y': 1.0}}",
+            )
         for state in known:
             if state not in self.state_names_:
                 raise InputError(
@@ -345,6 +357,7 @@ class SparseDynamics(BaseEstimator):
                         f"equation that gives {name}",
                         found=", ".join(f"{n}={value:g}" for n, value in terms.items()),
                     )
+        return known
 
     def _ties(self, name: str, known: Mapping[str, Any]) -> dict[str, Any]:
         """Return the known equations of measured states that hold a hidden one."""
@@ -372,6 +385,13 @@ class SparseDynamics(BaseEstimator):
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
+        if isinstance(how, type) or not callable(how):
+            raise InputError(
+                "differentiation",
+                expected="a pysindy differentiation",
+                found=repr(how),
+                remedy="pass an instance, such as FiniteDifference()",
+            )
         y = data.y if self.differentiation is not None else data.smooth()
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
@@ -497,9 +517,15 @@ def _as_fitted(name: str, found: int, names: Sequence[str]) -> None:
 
 
 def _check_names(names: Sequence[str], wanted: int) -> None:
-    if len(names) != wanted or len(set(names)) != wanted:
+    texts = [name for name in names if isinstance(name, str)]
+    different = len(set(texts)) == wanted == len(names)
+    for name in texts:
+        # "x y" beside x and y is the name of a term too.
+        factors = {factor.partition("^")[0] for factor in name.split()}
+        different &= name != "1" and not factors <= {"1", *texts} - {name}
+    if not different:
         raise InputError(
             "feature_names, hidden",
-            expected=f"{wanted} different names of states and inputs",
-            found=", ".join(names) or "none",
+            expected=f"{wanted} different names of states and inputs, as text, none that of a term",
+            found=", ".join(map(str, names)) or "none",
         )

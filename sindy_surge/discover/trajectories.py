@@ -81,12 +81,12 @@ class Features:
 
     def index(self, name: str) -> int:
         """Return the place of a term, or refuse one that the library has not."""
-        plain = re.sub(r"\s*\*\s*", " ", name.strip())
+        plain = re.sub(r"\s*\*\s*", " ", str(name).strip())
         if plain not in self.names:
             raise InputError(
                 "known",
                 expected="terms of the library: " + ", ".join(self.names),
-                found=name,
+                found=str(name),
                 remedy="write it as the library does",
             )
         return self.names.index(plain)
@@ -150,7 +150,8 @@ class Trajectories:
     def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
         """Read what a user passes, arrays or lists of arrays and times or a step, or refuse it."""
         xs = listed("x", x)
-        several = isinstance(t, list | tuple) and len(t) and np.ndim(t[0])
+        # As many numbers as trajectories, which are longer, are a step each.
+        several = _several(t) or (np.ndim(t) == 1 and len(t) == len(xs) < max(map(len, xs)))
         ts = list(t) if several else [t] * len(xs)
         us = listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
         _same("u", len(us), len(xs), "trajectories")
@@ -226,11 +227,16 @@ class Trajectories:
         return np.where(inner[:, None] & ~self.held, cubic, linear)
 
 
+def _several(values: Any) -> bool:
+    """Tell whether a list holds an array, rather than numbers, anywhere."""
+    return isinstance(values, list | tuple) and any(np.ndim(each) > 0 for each in values)
+
+
 def listed(name: str, values: Any) -> list[FloatArray]:
     """Return the arrays that a user passes, each of shape (n_rows, n_columns), or refuse them."""
     from sklearn.utils import check_array
 
-    several = isinstance(values, list | tuple) and len(values) > 0 and np.ndim(values[0]) > 0
+    several = _several(values)
     if any(np.ma.is_masked(each) for each in (values if several else [values])):
         raise InputError(
             name,

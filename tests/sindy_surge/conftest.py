@@ -74,11 +74,7 @@ def surge() -> Callable[..., Truth]:
         fine, white = waves[key]
         psi_p = lag(CURVES[curve](fine), PERIOD_S / 8)[::8]
         phi = fine[::8]
-        return Truth(
-            phi + noise * phi.std() * white[0],
-            psi_p + noise * psi_p.std() * white[1],
-            phi,
-            psi_p,
-        )
+        noisy = (s + noise * s.std() * w for s, w in zip((phi, psi_p), white, strict=True))
+        return Truth(*noisy, phi, psi_p)
 
     return make

@@ -27,9 +27,9 @@ def van_der_pol(rng, noise=0.02, rows=1000, n=2):
     return [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs], times
 
 
-def fitted(seed, **options):
+def fitted(seed, names=("x", "y"), **options):
     x, t = van_der_pol(np.random.default_rng(seed))
-    return SparseDynamics(**options).fit(x, t, feature_names=["x", "y"])
+    return SparseDynamics(**options).fit(x, t, feature_names=names)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_units_of_the_states_change_nothing_but_units():
     scale = np.array([1e5, 1e-2])
     x, t = van_der_pol(np.random.default_rng(2))
     plain = SparseDynamics().fit(x, t)
-    scaled = SparseDynamics().fit([each * scale for each in x], t)
+    scaled = SparseDynamics().fit([each * scale for each in x], [STEP_S, STEP_S])
     assert scaled.terms_ == plain.terms_
     # dy/dt = … -2 x² y: its coefficient goes with 1/x².
     name = plain.candidate_terms_.index("x0^2 x1")
@@ -214,9 +214,15 @@ def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
     [
         ({"library": ps.CustomLibrary([np.sin])}, "library"),
         ({"optimizer": ps.FiniteDifference()}, "optimizer"),
+        ({"optimizer": ps.STLSQ}, "optimizer"),
+        ({"differentiation": ps.FiniteDifference}, "differentiation"),
+        ({"known": {"x": {"x": np.nan}}}, "known"),
         ({"hidden": ["h"], "known": {"x": {"h": 1.0, "x y": 2.0}}}, "known"),
         ({"hidden": ["h"], "known": {"x": {"h": 0.0}}}, "known"),
         ({"hidden": ["x"]}, "feature_names, hidden"),
+        ({"names": [0, 1]}, "feature_names, hidden"),
+        ({"names": ["1", "x"]}, "feature_names, hidden"),
+        ({"names": ["x", "x^2"]}, "feature_names, hidden"),
     ],
 )
 def test_bad_options_are_named(options, where):
