@@ -122,6 +122,11 @@ class FitState(StrEnum):
         "bent towards them: look at the rows in which `x_` is farthest from x, and cut the record "
         "there",
     )
+    COARSE_ROWS = (
+        "coarse_rows",
+        "between two rows the states bend more than cubics follow: coefficients are off by more "
+        "than their errors say, and needless terms make up for it; sample faster",
+    )
     LIBRARY_TOO_SMALL = (
         "library_too_small",
         "a product of a term with a state or an input, which the library lacks, would explain more "

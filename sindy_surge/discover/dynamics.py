@@ -385,13 +385,6 @@ class SparseDynamics(BaseEstimator):
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
-        if isinstance(how, type) or not callable(how):
-            raise InputError(
-                "differentiation",
-                expected="a pysindy differentiation",
-                found=repr(how),
-                remedy="pass an instance, such as FiniteDifference()",
-            )
         y = data.y if self.differentiation is not None else data.smooth()
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
@@ -468,6 +461,8 @@ class SparseDynamics(BaseEstimator):
         found = {
             FitState.UNEXPLAINED: np.any(coloured & large),
             FitState.SHORT_RUNS_ONLY: problem.rows is not None,
+            # By more than a standard error each, in the mean square.
+            FitState.COARSE_ROWS: problem.rule_moves(best.support, best.fit) > len(best.support),
             FitState.COLOURED_REST: np.any(coloured),
             FitState.ODD_ROWS: any(map(np.any, far)),
             # The weight of a model is e to its score.

@@ -94,7 +94,7 @@ class Features:
 
 @dataclass(frozen=True)
 class WiderFeatures(Features):
-    """The terms of a library, and the products of each with a state or an input."""
+    """The terms of a library, and their products with states and inputs, which no model holds."""
 
     kept: IntArray  # Columns of terms and products that no earlier ones reproduce
 
@@ -116,13 +116,9 @@ class WiderFeatures(Features):
         return self._with_products(x, u)[:, self.kept]
 
     def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states)."""
-        own, slopes = super().values(x, u), super().derivatives(x, u)
-        factors = np.column_stack((np.ones(len(x)), x, u))
-        found = factors[:, :, None, None] * slopes[:, None]
-        for j in range(x.shape[1]):
-            found[:, 1 + j, :, j] += own
-        return found.reshape(len(x), -1, x.shape[1])[:, self.kept]
+        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states), 0 of products: none is in."""
+        more = self.kept.size - len(self.names)
+        return np.pad(super().derivatives(x, u), ((0, 0), (0, more), (0, 0)))
 
 
 # Fewer rows than this hold no more than their own noise.

@@ -147,9 +147,8 @@ def test_too_little_data_gives_a_static_fit_with_advice() -> None:
     assert model.fit_state_ is FitState.TOO_FEW_ROWS
     assert np.isnan(model.time_constant_s_)
     np.testing.assert_allclose(model.predict(phi), [1.0, 2.0, 4.0])
-    lonely = SparseLagRegressor(n_bootstrap=0).fit(
-        np.linspace(0, 1, 50)[:, None], np.linspace(0, 1, 50), segments=np.arange(50)
-    )
+    ramp = np.linspace(0, 1, 50)
+    lonely = SparseLagRegressor(n_bootstrap=0).fit(ramp[:, None], ramp, segments=np.arange(50))
     assert lonely.fit_state_ is FitState.TOO_FEW_ROWS
 
 
@@ -192,9 +191,8 @@ def test_bad_data_are_refused() -> None:
 
 def test_bad_fits_carry_their_advice_among_the_cautions() -> None:
     rng = np.random.default_rng(0)
-    pinned = SparseLagRegressor(n_bootstrap=0).fit(
-        np.full((200, 1), 0.2), 3 + rng.standard_normal(200)
-    )
+    noise = rng.standard_normal(200)
+    pinned = SparseLagRegressor(n_bootstrap=0).fit(np.full((200, 1), 0.2), 3 + noise)
     assert pinned.fit_state_ is FitState.CONSTANT_SIGNAL
     assert pinned.cautions_ == (FitState.CONSTANT_SIGNAL.advice,)
     assert pinned.terms_ == ("1",)
