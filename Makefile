@@ -20,11 +20,11 @@ TRUTH := $(addprefix tests/, $(addsuffix .py, \
 		test_total_system test_paper_claims test_structure_command test_methods \
 		study/test_bench study/test_comparison study/test_run rig/test_hidden) \
 	$(addprefix sindy_surge/, discover/test_loops discover/test_dynamics test_regressor \
-		test_held_out) \
-	contracts/test_sparse_lag_regressor_contract mistakes/test_fuzz))
+		test_held_out test_constraints test_selection test_dead_time test_knots) \
+	contracts/test_sparse_lag_regressor_contract mistakes/test_fuzz test_examples))
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
-# All else: below five minutes on two cores.
+# All else.
 test: $(STAMP)
 	$(PYTEST) $(addprefix --ignore , $(TRUTH) tests/screen tests/benchmarks tests/docs)
 
