@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -172,7 +173,8 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
 def _named(item: MissingEffect) -> str:
     """Return what is missing and where, as part of a sentence."""
     place = item.place
-    name = "a term without a name" if item.unnamed else plain_name(item.effect)
+    called = item.effect if "port" in place else re.split(r"[( ]", item.label)[0]
+    name = "a term without a name" if item.unnamed else plain_name(called)
     if "port" in place:
         term = item.label.removesuffix(f" {PORT_WORDS[place['port']]}").removeprefix("open_")
         return f"{name}{f', {term},' * item.unnamed} {PORT_WORDS[place['port']]}"

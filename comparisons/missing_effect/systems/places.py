@@ -222,14 +222,17 @@ class Placed:
         return names
 
     def label(self, model: Model) -> str:
-        """Return name and place in one line, for tables: factors are joined by ``·``."""
-        names = self.where(model)
+        """Return name and place in one line, for tables: factors are joined by ``·``.
+
+        A name that only a motion has gives way to its neutral one.
+        """
+        names, name = self.where(model), self.words(model).title.replace(" ", "_")
         factors = [names[k] for k in ("signal", "times") if k in names]
         if factors and self.effect.unnamed and self.effect.kind == Kind.TERM:
             factors[0] += RAISED.get(Term(self.effect.code), "")
         outer = names[AT[self.effect.kind]]
         joined = f"({'·'.join(factors)}) in {outer}" if factors else f" of {outer}"
-        return f"{self.name}{joined}" + (f" into {names['into']}" if "into" in names else "")
+        return f"{name}{joined}" + (f" into {names['into']}" if "into" in names else "")
 
     def equation(self, model: Model) -> str:
         """Return what it adds, with the signals of its place and what they count from."""
