@@ -137,7 +137,8 @@ class Search(Generic[Fit]):
                 for support, score in (near | far).items()
                 if (sum_ := one + score - base) < margin
             }
-        for support in sorted(behind, key=lambda s: behind[s])[:_WIDTH]:
+            behind = dict(sorted(behind.items(), key=lambda each: each[1])[:_WIDTH])
+        for support in behind:
             trial = self.try_support(support, best.fit, "rival")
             if trial.score < best.score:
                 return trial

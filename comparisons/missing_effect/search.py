@@ -254,16 +254,18 @@ def _refined(
     friction read Coulomb friction and a softening damping.
     """
     for step in rounds:
-        for refined in step.aliases[1:]:
+        for refined in sorted(step.aliases[1:], key=lambda c: -c.rank):
             plain = step.aliases[0].added[0]
             more = len(refined.added) == 1 and plain.is_plain_form_of(refined.added[0])
             less = system.with_refined(plain, refined) if more and plain in system.found else None
             if less is not None:
                 others = [c for c in step.aliases if c is not refined]
                 spoken = replace(step, winner=refined, aliases=(refined, *others))
-                own, keys = _held_against(spoken, refined, step.bench), {e.key for e in less.found}
-                every = [own if s is step else s for s in rounds]
-                return less, [s for s in every if s.winner is None or s.winner.keys <= keys]
+                own = _held_against(spoken, refined, step.bench)
+                gone = {e.key for e in system.found} - {e.key for e in less.found} | refined.keys
+                # Rounds whose winner is gone, or found again, go with it.
+                kept = [s for s in rounds if s is step or not s.winner or not s.winner.keys <= gone]
+                return less, [own if s is step else s for s in kept]
     return system, list(rounds)
 
 

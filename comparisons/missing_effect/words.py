@@ -280,7 +280,7 @@ def _refused_words(d: Diagnosis) -> str:
     rows = [row for row in d.candidates if row.round == last or not row.fitted]
     best = next((row for row in rows if row.fate == "refused"), None)
     n = len({row.label for row in rows if row.kind == "name"})
-    if best is None or any(row.fate == "too little" for row in rows):
+    if best is None or any(row.fate == "too little" for row in d.candidates):
         return f"None of {n} effects tried was worth adding." if n else ""
     name = plain_name(best.label)
     return f"None of {n} effects tried was accepted; the best, {name}, {_too_small(best)}."

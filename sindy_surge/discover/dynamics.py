@@ -115,7 +115,7 @@ class SparseDynamics(BaseEstimator):
         x : array-like of shape (n_rows, n_states), or list of such
             One or several trajectories.
         t : float, array-like of shape (n_rows,), or list of such
-            Sample period, or times; a list has one for each trajectory.
+            Sample period, or times; or one of these for each trajectory.
         u : array-like of shape (n_rows, n_inputs), or list of such, optional
             Inputs.
         feature_names : sequence of str, optional

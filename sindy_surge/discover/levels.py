@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.trajectories import LEAST_NOISE, WiderFeatures
 from sindy_surge.linear_problem import LinearProblem, Support
@@ -40,12 +41,10 @@ def search_by_levels(
 ) -> tuple[list[Level], Tried[Fit]]:
     """Return the supports tried at each length of segments, the last first, and the best."""
     n_terms, n_states = problem.known.shape
-    # A product of inputs that exclude one another is nothing on the whole record.
-    there = problem.features.values(problem.data.y, problem.data.u).any(axis=0)
+    # Inputs that exclude one another have a product of nothing; a library may hold a term twice.
+    there = independent_columns(problem.features.values(problem.data.y, problem.data.u))
     equations = [
-        tuple((state * n_terms + np.flatnonzero(there)).tolist())
-        for state in range(n_states)
-        if state not in given
+        tuple((state * n_terms + there).tolist()) for state in range(n_states) if state not in given
     ]
     fit, problem = _with_inputs(problem, rates, np.concatenate(equations))
     # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
@@ -83,7 +82,8 @@ def search_by_levels(
 def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
     """Tell whether a product of a term with a state or an input would pay its price.
 
-    Cubics follow x/(1 + x) within the noise, and what they leave is as good as white; x⁴ sees it.
+    Cubics follow x/(1 + x) so well that what they leave is as good as white noise; x⁴, a product
+    of a term and a state, still explains more than it costs.
     """
     problem = level.likelihood
     n = problem.known.shape[0]

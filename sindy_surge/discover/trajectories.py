@@ -96,7 +96,7 @@ class Features:
 class WiderFeatures(Features):
     """The terms of a library, and their products with states and inputs, which no model holds."""
 
-    kept: IntArray  # Columns of terms and products that no earlier ones reproduce
+    kept: IntArray  # All terms, then products that no earlier columns reproduce
 
     @classmethod
     def of_features(cls, features: Features, x: FloatArray, u: FloatArray) -> WiderFeatures:

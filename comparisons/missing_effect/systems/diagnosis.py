@@ -162,12 +162,17 @@ def _concluded(
     before, before_cov, metric = _whole(base)
     after, after_cov = before, before_cov
     found = bench.fit.structure.effects
-    if found:
+    while effects := bench.fit.structure.effects:
         whole = _whole(bench)
         if not whole[0].failed:
             after, after_cov, metric = whole
+            break
+        # What fits two thirds of the rows may run away on all of them.
+        structure, last = bench.fit.structure, effects[-1]
+        theta = np.delete(bench.fit.theta, structure.slots_of(last))
+        bench = bench.refitted(structure.without(last), theta)
     added = after.structure.effects
-    keys = {e.key for e in added}
+    keys, gone = {e.key for e in added}, found[len(added) :]
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
     checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
@@ -178,11 +183,7 @@ def _concluded(
         later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
         missing = (*missing[:1], *later)
     open_ = not missing and (
-        base.fit.failed
-        or bool(found)
-        or _foretells_badly(base)
-        or left.structured
-        or left.disturbed
+        base.fit.failed or bool(gone) or _foretells_badly(base) or left.structured or left.disturbed
     )
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
@@ -190,10 +191,10 @@ def _concluded(
         missing=missing,
         parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
-        remarks=(*_remarks(base, rounds, missing, left, found), *remarks),
+        remarks=(*_remarks(base, rounds, missing, left, gone), *remarks),
         model=model,
         records=records,
-        rounds=rounds if missing else rounds[:1],
+        rounds=rounds,
         before=before,
         after=after,
         offsets=_offsets(model, after, after_cov),
@@ -355,30 +356,29 @@ def _remarks(
     rounds: Sequence[ModelRound],
     missing: Sequence[MissingEffect],
     left: Leftover,
-    found: Sequence[Placed],
+    gone: Sequence[Placed],
 ) -> tuple[str, ...]:
     model, out = base.records.model, []
-    if found and not missing:
-        name = plain_name(label_of(found, model))
-        return (
-            f"With {name} the model fits part of the training rows and runs away on all of them, "
-            "so that it is not added: what is missing is near to that, or another.",
+    for placed in gone:
+        out.append(
+            f"With {plain_name(placed.label(model))} the model follows the rows fitted and runs "
+            "away on the whole records, so that it is not added: what is missing may resemble it."
         )
-    if not base.fit.failed and (left.structured or left.disturbed):
+    if not base.fit.failed and not gone and (left.structured or left.disturbed):
         out.append(left_words(left, bool(missing)))
     if base.fit.failed:
         out.append(
             "The model could not be simulated from its starts, so that nothing can be said of what "
             "it lacks: give other starts or bounds."
         )
-    elif not missing and _foretells_badly(base):
+    elif not missing and not gone and _foretells_badly(base):
         out.append(
             "The last third of the training rows, which is held out, goes wrong more than twice as "
             "far as the rows fitted, and nothing fitted explains it: what is missing acts there "
             "alone. Give records in which it acts earlier, or several."
         )
     last = rounds[-1] if rounds else None
-    labels = {item.label for item in missing}
+    labels = {item.label for item in missing} | {placed.label(model) for placed in gone}
     if last is None or last.winner is None:
         return tuple(out)
     if not all(placed.label(model) in labels for placed in last.winner.added):

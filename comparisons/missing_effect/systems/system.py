@@ -199,7 +199,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         """Tell whether a candidate does as well as what was found, on either part of the rows."""
         moved = self._swapped(one, other)
         close = self._cost(moved.fit) < self._own_cost + LEAST_LOST
-        return close or moved.held_out_size() <= self.held_out_size()
+        return close or moved.held_out_size() < self.held_out_size()
 
     def _swapped(self, one: Placed, other: ModelCandidate, less: Sequence[Placed] = ()) -> Self:
         """Return the model with a candidate in the place of what was found, and without others."""
@@ -211,7 +211,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         effects = tuple(other.added[0] if e.key == one.key else e for e in structure.effects)
         there = replace(structure, effects=effects)
         if len(effects) > 1 or other.onward is None:
-            return self.refitted(there, theta)
+            return replace(self.refitted(there, theta), white=None)
         ends = (replace(fit, structure=there) for fit in (other.fit, other.onward))
         return self.with_better(*ends)
 

@@ -186,7 +186,7 @@ def test_a_term_that_the_library_lacks_is_not_called_ok(rate, starts, noise, sta
 
 
 def test_on_few_rows_the_truth_is_stated_or_among_rivals_that_are_likelier():
-    """Half a swing on 40 rows: of eight answers that are no truth one at most is called ok."""
+    """Half a swing on 40 rows: on eight records one wrong model at most is called ok."""
     t, ended = np.arange(40) * 0.05, []
     run = solved(lambda q, w: [w, -q - 0.2 * w], [2.0, 0.0], t)
     for seed in range(8):

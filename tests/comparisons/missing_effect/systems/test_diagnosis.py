@@ -192,7 +192,6 @@ def test_what_acts_in_the_held_out_rows_alone_is_not_called_nothing() -> None:
 
 
 def test_what_makes_the_model_run_away_is_not_named() -> None:
-    """A sine of the way, for which a cubic spring that softens stands until it gives way."""
     found = diagnosed("body", 3, 1, force=lambda t, q, v: -30.0 * math.sin(q / 0.3))
     assert (found.verdict, found.missing) == ("unexplained_structure", ())
     assert "runs away" in found.remarks[0]
