@@ -226,7 +226,8 @@ class Placed:
 
         A name that only a motion has gives way to its neutral one.
         """
-        names, name = self.where(model), self.words(model).title.replace(" ", "_")
+        names, title = self.where(model), self.words(model).title
+        name = self.name if title == self.name.replace("_", " ") else title.replace(" ", "_")
         factors = [names[k] for k in ("signal", "times") if k in names]
         if factors and self.effect.unnamed and self.effect.kind == Kind.TERM:
             factors[0] += RAISED.get(Term(self.effect.code), "")
