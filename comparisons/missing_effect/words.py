@@ -173,7 +173,8 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
 def _named(item: MissingEffect) -> str:
     """Return what is missing and where, as part of a sentence."""
     place = item.place
-    called = item.effect if "port" in place else re.split(r"[( ]", item.label)[0]
+    own = "port" in place or item.label.startswith(item.effect)
+    called = item.effect if own else re.split(r"[( ]", item.label)[0]
     name = "a term without a name" if item.unnamed else plain_name(called)
     if "port" in place:
         term = item.label.removesuffix(f" {PORT_WORDS[place['port']]}").removeprefix("open_")
