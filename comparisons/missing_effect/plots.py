@@ -148,6 +148,8 @@ def _shown(name: str) -> str:
 
 def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
     """Draw the rms error of one output in every run, before and after joined by a bar."""
+    from matplotlib.ticker import LogLocator
+
     runs, j = d.runs[:MOST_RUNS], list(d.outputs).index(output)
     before, after = (
         np.array([r[j] for r in sizes])
@@ -166,7 +168,10 @@ def _errors(ax: Axes, d: Diagnosis, output: str) -> None:
         ax.axvline(scale.factor * level, **style)
     known = [size for size in (*before, *after) if size > 0.0]
     if known and max(known) > LOGARITHMIC_RATIO * min(known):
-        ax.set_xscale("log")
+        # Labels of every minor tick lie on each other within a decade or two.
+        ax.set_xscale("log", subs=[])
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter("{x:g}")
     else:
         ax.locator_params(axis="x", nbins=4)
     ax.set_yticks(place, [printable(run.title, LONGEST_NAME) for run in runs], fontsize=SMALL)
