@@ -85,9 +85,10 @@ def monomials(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
     chains = np.ones((int(powers.max(initial=0)) + 1, *x.T.shape))
     for power in range(1, len(chains)):
         np.multiply(chains[power - 1], x.T, out=chains[power])
-    for number, exponents in enumerate(powers):
-        for own in np.flatnonzero(exponents):
-            columns[:, number] *= chains[exponents[own], own]
+    for number, exponents in enumerate(powers.tolist()):
+        for own, power in enumerate(exponents):
+            if power:
+                columns[:, number] *= chains[power, own]
     return columns
 
 

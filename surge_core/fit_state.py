@@ -124,8 +124,9 @@ class FitState(StrEnum):
     )
     COARSE_ROWS = (
         "coarse_rows",
-        "between two rows the states bend more than cubics follow: coefficients may be off by more "
-        "than their errors say, and needless terms may make up for it; sample faster",
+        "between two rows the states bend more than a sixteenth of a step follows: coefficients "
+        "may be off by more than their errors say, and needless terms may make up for it; sample "
+        "faster",
     )
     LIBRARY_TOO_SMALL = (
         "library_too_small",

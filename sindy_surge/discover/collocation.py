@@ -5,6 +5,7 @@ writes it (order 4; Hargraves & Paris 1987):
 
     x_{k+1} - x_k - h/6 (f_k + 4 f_m + f_{k+1}) = 0,   x_m = (x_k + x_{k+1})/2 + h/8 (f_k - f_{k+1})
 
+or, where rows stand too far apart for that, as Runge and Kutta's rule on parts of each step does.
 Among the states that obey it, those nearest to the measured ones are the most likely. About
 states and coefficients at hand, the defects r move by A δx - G δξ; with e = measured - states,
 what noise has to explain is ρ = r + A e - G δξ, of covariance S = A Aᵀ in units of the noise, and
@@ -15,6 +16,7 @@ on a fully discretised problem: no run can diverge, as it does from a bad start 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,8 +33,6 @@ _MOST_STEPS = 15
 # The defects that the linearised step leaves, in units of noise, against one row's noise.
 _LEAST_DEFECT = 1e-3
 _HALVINGS = 4
-# Parts of a step in which the error of the rule is found: it falls with their fourth power.
-_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,9 @@ class Collocation:
     hidden: BoolArray  # (n_states,): States that are not measured
     # Length of the segments that trajectories are cut into, each with a start of its own
     rows: int | None = None
+    parts: int = (
+        0  # Parts of a step in Runge and Kutta's rule; 0 for the rule of Hermite and Simpson
+    )
     joined: BoolArray = field(init=False)
     middle: FloatArray = field(init=False)  # Inputs half-way to the next row, and on arrival there
     end: FloatArray = field(init=False)
@@ -90,7 +93,7 @@ class Collocation:
         start[place] = xi[place]
         xi, converged, chi2 = start, False, np.inf
         inverse = np.eye(support.size)
-        about = _About(self, x, xi)
+        about = self._about(x, xi)
         for _ in range(_MOST_STEPS):
             try:
                 white = about.whitened(support)
@@ -106,7 +109,7 @@ class Collocation:
             target, chi2 = about.states(white, new[place])
             share = 1.0
             for _ in range(_HALVINGS):
-                ahead = _About(self, x + share * (target - x), xi + share * (new - xi))
+                ahead = self._about(x + share * (target - x), xi + share * (new - xi))
                 # On the way to the step's end the defects shrink with it.
                 if ahead.defect < max(2.0 * about.defect, _LEAST_DEFECT * chi2):
                     break
@@ -127,32 +130,24 @@ class Collocation:
 
     def rule_moves(self, support: Support, fit: Fit) -> float:
         """Return how far the error of the rule between rows moves the coefficients, as χ²."""
-        about, x = _About(self, fit.x, fit.xi), fit.x[:-1]
-        u, middle, end = self.data.u[:-1], self.middle, self.end
-        h = about.h / _PARTS
-
-        def rate(x: FloatArray, at: float) -> FloatArray:
-            z = (1 - at) * ((1 - 2 * at) * u + 4 * at * middle) + at * (2 * at - 1) * end
-            return np.asarray(self.features.values(x, z) @ about.total)
-
-        # Runge and Kutta's rule on parts of each step.
-        with np.errstate(all="ignore"):
-            for at in np.arange(_PARTS) / _PARTS:
-                a = rate(x, at)
-                b = rate(x + h / 2 * a, at + 0.5 / _PARTS)
-                c = rate(x + h / 2 * b, at + 0.5 / _PARTS)
-                x = x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c, at + 1 / _PARTS))
-        error = np.where(self.joined[:, None], (fit.x[1:] - x) / self.noise - about.r, 0.0)
+        about, finer = (
+            self._about(fit.x, fit.xi),
+            _Shot(self, fit.x, fit.xi, 2 * max(self.parts, 2)),
+        )
+        error = finer.r - about.r
         if not np.isfinite(error).all():
             return float(np.inf)
-        white = about.whitened(np.array(support))
+        white = about.whitened(np.array(support, dtype=np.intp))
         basis = np.linalg.qr(white.columns)[0]
         return float(np.sum((basis.T @ _solved(white.factor, error.reshape(-1, 1))) ** 2))
 
     def regression(self, fit: Fit) -> LinearProblem:
         """Return the regression on all terms that are not given about a fit."""
-        white = _About(self, fit.x, fit.xi).whitened(np.arange(fit.xi.size))
+        white = self._about(fit.x, fit.xi).whitened(np.arange(fit.xi.size))
         return without_nuisances(np.zeros((white.target.size, 0)), white.columns, white.target)
+
+    def _about(self, x: FloatArray, xi: FloatArray) -> _About:
+        return _Shot(self, x, xi, self.parts) if self.parts else _About(self, x, xi)
 
 
 @dataclass(frozen=True)
@@ -191,32 +186,40 @@ class _About:
         self.defect = float(np.sum(self.r**2)) / 2.0
         self.total = total
 
-    def _jacobians(self) -> tuple[FloatArray, FloatArray]:
-        """Return A⁻ and A⁺, (n_rows - 1, n, n), in units of the noise."""
-        problem, u = self.problem, self.problem.data.u
+    def slopes(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the derivatives of dx/dt by the states, (n_rows, n, n)."""
+        slopes = self.problem.features.derivatives(x, u) @ self.total
+        return np.ascontiguousarray(slopes.transpose(1, 2, 0))
 
-        def slopes(x: FloatArray, u: FloatArray) -> FloatArray:
-            slope = problem.features.derivatives(x, u)
-            return np.asarray(np.einsum("kfs,fj->kjs", slope, self.total))
-
-        J = slopes(self.x, u)
+    def tangents(self, support: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return how the defects move with x_k, x_{k+1} and, but for the sign, with ξ."""
+        problem, slopes = self.problem, self.slopes
+        J = slopes(self.x, problem.data.u)
         J, J_e = J[:-1], slopes(self.x[1:], problem.end) if problem.held else J[1:]
-        self.J_m = slopes(self.middle, problem.middle)
+        J_m = slopes(self.middle, problem.middle)
         h = self.h[:, :, None]
         eye = np.eye(self.x.shape[1])
-        before = -eye - h / 6.0 * (J + 4.0 * self.J_m @ (0.5 * eye + h / 8.0 * J))
-        after = eye - h / 6.0 * (J_e + 4.0 * self.J_m @ (0.5 * eye - h / 8.0 * J_e))
-        scale = problem.noise[None, :] / problem.noise[:, None]
-        open_rows = problem.joined[:, None, None]
-        return np.where(open_rows, before * scale, 0.0), np.where(open_rows, after * scale, 0.0)
+        before = -eye - h / 6.0 * (J + 4.0 * J_m @ (0.5 * eye + h / 8.0 * J))
+        after = eye - h / 6.0 * (J_e + 4.0 * J_m @ (0.5 * eye - h / 8.0 * J_e))
+        term, state = support % self.theta.shape[1], support // self.theta.shape[1]
+        sums = self.h / 6.0 * (self.theta + 4.0 * self.theta_m + self.theta_e)[:, term]
+        bends = (self.h**2 / 12.0) * (self.theta - self.theta_e)[:, term]
+        # ∂x_m/∂ξ moves f_m in every equation.
+        G = np.einsum("kis,ks->kis", J_m[:, :, state], bends)
+        G[:, state, np.arange(support.size)] += sums
+        return before, after, G
 
     def whitened(self, support: IndexArray) -> _Whitened:
         """Return the regression on columns, whitened."""
-        problem = self.problem
-        before, after = self._jacobians()
+        problem, noise = self.problem, self.problem.noise
+        before, after, G = self.tangents(support)
+        open_rows = problem.joined[:, None, None]
+        before, after = (
+            np.where(open_rows, each * noise / noise[:, None], 0.0) for each in (before, after)
+        )
+        G = (G / noise[:, None]).reshape(self.r.size, support.size)
         e = (problem.data.y - self.x) / problem.noise
         e = np.where(problem.hidden, 0.0, e)
-        G = self._columns(support)
         xi_now = self.xi.T.ravel()[support]
         rho = self.r + np.einsum("kij,kj->ki", before, e[:-1])
         rho += np.einsum("kij,kj->ki", after, e[1:])
@@ -237,19 +240,57 @@ class _About:
         measured = np.where(problem.hidden, self.x, problem.data.y)
         return measured + eta * problem.noise, float(np.sum(eta**2))
 
-    def _columns(self, support: IndexArray) -> FloatArray:
-        """Return G, how the defects move with the coefficients, ((n_rows - 1) n, n_support)."""
-        K, n = self.r.shape
-        n_terms = self.theta.shape[1]
-        term, state = support % n_terms, support // n_terms
-        h = np.where(self.problem.joined[:, None], self.h, 0.0)
-        sums = h / 6.0 * (self.theta + 4.0 * self.theta_m + self.theta_e)[:, term]
-        bends = (h**2 / 12.0) * (self.theta - self.theta_e)[:, term]
-        # ∂x_m/∂ξ moves f_m in every equation.
-        G = np.einsum("kis,ks->kis", self.J_m[:, :, state], bends)
-        G[:, state, np.arange(support.size)] += sums
-        scaled = G / self.problem.noise[:, None]
-        return np.asarray(scaled.reshape(K * n, support.size))
+
+class _Shot(_About):
+    """The same by Runge and Kutta's rule on equal parts of each step."""
+
+    def __init__(self, problem: Collocation, x: FloatArray, xi: FloatArray, parts: int) -> None:
+        super().__init__(problem, x, xi)
+        self.parts = parts
+        with np.errstate(all="ignore"):
+            r = x[1:] - self._end(x[:-1], lambda x, u: problem.features.values(x, u) @ self.total)
+            self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
+            self.defect = float(np.sum(self.r**2)) / 2.0
+
+    def tangents(self, support: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return how the defects move with x_k, x_{k+1} and, but for the sign, with ξ."""
+        features, (K, n) = self.problem.features, self.r.shape
+        term, state = support % self.theta.shape[1], support // self.theta.shape[1]
+        own = np.arange(support.size)
+
+        def rate(z: FloatArray, u: FloatArray) -> FloatArray:
+            """Return the rate of states and of their tangents, a row a state."""
+            z = z.reshape(K, n, -1)
+            theta, J = features.values(z[:, :, 0], u), self.slopes(z[:, :, 0], u)
+            moved = J @ z[:, :, 1:]
+            moved[:, state, n + own] += theta[:, term]
+            return np.concatenate(((theta @ self.total)[:, :, None], moved), axis=2).reshape(K, -1)
+
+        start = np.zeros((K, n, 1 + n + support.size))
+        start[:, :, 0], start[:, :, 1 : 1 + n] = self.x[:-1], np.eye(n)
+        with np.errstate(all="ignore"):
+            end = self._end(start.reshape(K, -1), rate).reshape(start.shape)
+        G = np.where(self.problem.joined[:, None, None], end[:, :, 1 + n :], 0.0)
+        return -end[:, :, 1 : 1 + n], np.broadcast_to(np.eye(n), (K, n, n)), G
+
+    def _end(
+        self, z: FloatArray, rate: Callable[[FloatArray, FloatArray], FloatArray]
+    ) -> FloatArray:
+        """Run from each row to the next."""
+        problem, h = self.problem, self.h / self.parts
+        u, middle, end = problem.data.u[:-1], problem.middle, problem.end
+
+        def at(share: float) -> FloatArray:
+            between = (1 - 2 * share) * u + 4 * share * middle
+            return np.asarray((1 - share) * between + share * (2 * share - 1) * end)
+
+        for part in range(self.parts):
+            u0, u1, u2 = (at((part + more) / self.parts) for more in (0.0, 0.5, 1.0))
+            a = rate(z, u0)
+            b = rate(z + h / 2 * a, u1)
+            c = rate(z + h / 2 * b, u1)
+            z = z + h / 6 * (a + 2 * b + 2 * c + rate(z + h * c, u2))
+        return z
 
 
 def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatArray:

@@ -130,6 +130,20 @@ class SparseDynamics(BaseEstimator):
         from pysindy import STLSQ
 
         one_of("search", self.search, ("full", "optimizer"))
+        if isinstance(self.hidden, str):
+            raise InputError(
+                "hidden",
+                expected="a list of names",
+                found=f"the text {self.hidden!r}",
+                remedy=f"write [{self.hidden!r}]",
+            )
+        if isinstance(self.differentiation, str | type):
+            raise InputError(
+                "differentiation",
+                expected="a differentiation of pysindy, with its options",
+                found=f"{self.differentiation!r}",
+                remedy="pass SmoothedFiniteDifference(), for one",
+            )
         data = Trajectories.of(x, t, u)
         _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names)
@@ -281,6 +295,7 @@ class SparseDynamics(BaseEstimator):
             self.coef_.T,
             self._hidden,
             _SCORED_ROWS,
+            self.search_.likelihood.parts,
         )
         empty = np.zeros_like(self.coef_.T)
         fit = problem.fit(np.zeros(0, dtype=np.intp), empty, problem.data.smooth())
@@ -339,6 +354,13 @@ class SparseDynamics(BaseEstimator):
                 raise InputError(
                     "known", expected="states of x or `hidden`", found=state, remedy="name one"
                 )
+        if len(known) == len(self.state_names_):
+            raise InputError(
+                "known",
+                expected="a state whose equation is to be found",
+                found="the equations of all",
+                remedy="leave one out",
+            )
         plain = {"1", *self.state_names_, *self.input_names_}
         for name in self.hidden:
             ties = self._ties(name, known)
@@ -513,14 +535,13 @@ def _as_fitted(name: str, found: int, names: Sequence[str]) -> None:
 
 def _check_names(names: Sequence[str], wanted: int) -> None:
     texts = [name for name in names if isinstance(name, str)]
-    different = len(set(texts)) == wanted == len(names)
-    for name in texts:
-        # "x y" beside x and y is the name of a term too.
-        factors = {factor.partition("^")[0] for factor in name.split()}
-        different &= name != "1" and not factors <= {"1", *texts} - {name}
-    if not different:
+    # "x y" beside x and y is the name of a term too.
+    factors = {n: {factor.partition("^")[0] for factor in n.split()} for n in texts}
+    terms = [n for n in texts if n == "1" or factors[n] <= {"1", *texts} - {n}]
+    if terms or not len(set(texts)) == wanted == len(names):
         raise InputError(
             "feature_names, hidden",
             expected=f"{wanted} different names of states and inputs, as text, none that of a term",
-            found=", ".join(map(str, names)) or "none",
+            found=(", ".join(map(str, names)) or "none")
+            + "".join(f"; {name!r} reads as a term" for name in terms[:1]),
         )

@@ -23,6 +23,10 @@ _LONGER_ROWS = (300, None)
 RIVAL = 10.0
 # Log-units by which an input that is held must be ahead of a smooth one (Kass & Raftery 1995).
 _HELD = 5.0
+# Parts of a step between rows, tried one after the other until the error of the rule, which falls
+# with their fourth power, adds less than this share to the variance of the coefficients.
+_PARTS = (4, 16)
+_COARSE = 0.1
 # A coefficient is at first believed to make no term larger than so many times the derivative.
 _LARGEST_TERM = 10.0
 # Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
@@ -39,14 +43,40 @@ class Level(Search[Fit]):
 def search_by_levels(
     problem: Collocation, rates: FloatArray, given: Sequence[int], optimizer: Any, *, full: bool
 ) -> tuple[list[Level], Tried[Fit]]:
-    """Return the supports tried at each length of segments, the last first, and the best."""
+    """Return the supports tried at each length of segments, the last first, and the best.
+
+    All is done again by a finer rule between rows where that matters.
+    """
+    found = _searched(problem, rates, given, optimizer, None, full=full)
+    for parts in _PARTS:
+        levels, best = found
+        if best.support and np.isfinite(best.score):
+            moves = levels[0].likelihood.rule_moves(best.support, best.fit)
+            if moves <= _COARSE * len(best.support):
+                break
+        finer = replace(problem, parts=parts)
+        near = best.fit if np.isfinite(best.score) else None
+        again = _searched(finer, rates, given, optimizer, near, full=full)
+        found = again if np.isfinite(again[1].score) else found
+    return found
+
+
+def _searched(
+    problem: Collocation,
+    rates: FloatArray,
+    given: Sequence[int],
+    optimizer: Any,
+    near: Fit | None,
+    *,
+    full: bool,
+) -> tuple[list[Level], Tried[Fit]]:
     n_terms, n_states = problem.known.shape
     # Inputs that exclude one another have a product of nothing; a library may hold a term twice.
     there = independent_columns(problem.features.values(problem.data.y, problem.data.u))
     equations = [
         tuple((state * n_terms + there).tolist()) for state in range(n_states) if state not in given
     ]
-    fit, problem = _with_inputs(problem, rates, np.concatenate(equations))
+    fit, problem = _with_inputs(problem, rates, np.concatenate(equations), near)
     # Extended BIC (Chen & Chen 2008): so much for each of p candidates an equation on N rows.
     price = float(np.log(len(problem.data.y)) + 2.0 * np.log(n_terms))
     short = Level(problem.cut(_FULL_ROWS[-1]), equations, price)
@@ -116,7 +146,7 @@ def _proposals(
 
 
 def _with_inputs(
-    problem: Collocation, rates: FloatArray, free: IndexArray
+    problem: Collocation, rates: FloatArray, free: IndexArray, near: Fit | None
 ) -> tuple[Fit, Collocation]:
     """Fit the whole library with inputs smooth between rows, and with held ones.
 
@@ -126,7 +156,8 @@ def _with_inputs(
 
     def fitted(held: tuple[bool, ...]) -> tuple[float, Fit, Collocation]:
         data = replace(problem.data, held=np.array(held, dtype=np.bool_))
-        fit, own = _fit_all(replace(problem, data=data), rates, free)
+        own = replace(problem, data=data)
+        fit, own = _fit_all(own, free, near or _start(own, rates, free), rates)
         size = len(data.y) * float(np.sum(np.log(own.noise[~own.hidden])))
         return size + _HELD * sum(held) if np.isfinite(fit.chi2) else np.inf, fit, own
 
@@ -140,21 +171,32 @@ def _with_inputs(
     return min(tried.values(), key=lambda each: each[0])[1:]
 
 
-def _fit_all(problem: Collocation, rates: FloatArray, free: IndexArray) -> tuple[Fit, Collocation]:
-    """Fit the whole library on short segments, and with it the noise."""
+def _start(problem: Collocation, rates: FloatArray, free: IndexArray) -> Fit:
+    """Return the whole library by regression on derivatives."""
     x = problem.data.smooth()
     x[:, problem.hidden] = problem.data.y[:, problem.hidden]
     theta = problem.features.values(x, problem.data.u)
-    n_terms, n_states = problem.known.shape
-    size = np.sqrt(np.mean(theta**2, axis=0))
-    size[size == 0.0] = 1.0
-    prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
-    ridge = (prior.T.ravel()[free]) ** -2.0
+    size = _size(theta)
     scaled = theta / size
-    small = _START_RIDGE * len(scaled) * np.eye(n_terms)
+    small = _START_RIDGE * len(scaled) * np.eye(size.size)
     target = scaled.T @ (rates - theta @ problem.known)
     xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
-    fit = Fit(xi, x, np.inf, np.eye(free.size), False)
+    return Fit(xi, x, np.inf, np.eye(free.size), False)
+
+
+def _size(theta: FloatArray) -> FloatArray:
+    size = np.sqrt(np.mean(theta**2, axis=0))
+    return np.asarray(np.where(size > 0.0, size, 1.0))
+
+
+def _fit_all(
+    problem: Collocation, free: IndexArray, near: Fit, rates: FloatArray
+) -> tuple[Fit, Collocation]:
+    """Fit the whole library on short segments, and with it the noise."""
+    fit, n_states = near, problem.known.shape[1]
+    size = _size(problem.features.values(near.x, problem.data.u))
+    prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
+    ridge = (prior.T.ravel()[free]) ** -2.0
     for rows in _FULL_ROWS:
         fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
     own = problem.cut(_FULL_ROWS[-1])

@@ -64,7 +64,7 @@ class Features:
         return np.asarray(self.library.transform(z), dtype=np.float64)
 
     def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states)."""
+        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms)."""
         z = np.column_stack((x, u))
         found = []
         for j in range(x.shape[1]):
@@ -77,7 +77,7 @@ class Features:
             step[j] = _STEP * self.size[j]
             ahead, behind = (self.library.transform(z + s * step) for s in (1.0, -1.0))
             found.append(np.asarray(ahead - behind) / (2.0 * step[j]))
-        return np.stack(found, axis=2)
+        return np.stack(found)
 
     def index(self, name: str) -> int:
         """Return the place of a term, or refuse one that the library has not."""
@@ -116,9 +116,9 @@ class WiderFeatures(Features):
         return self._with_products(x, u)[:, self.kept]
 
     def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states), 0 of products: none is in."""
+        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms), 0 of products: none is in."""
         more = self.kept.size - len(self.names)
-        return np.pad(super().derivatives(x, u), ((0, 0), (0, more), (0, 0)))
+        return np.pad(super().derivatives(x, u), ((0, 0), (0, 0), (0, more)))
 
 
 # Fewer rows than this hold no more than their own noise.

@@ -27,9 +27,9 @@ def van_der_pol(rng, noise=0.02, rows=1000, n=2):
     return [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs], times
 
 
-def fitted(seed, names=("x", "y"), **options):
+def fitted(seed, names=("x", "y"), every=1, **options):
     x, t = van_der_pol(np.random.default_rng(seed))
-    return SparseDynamics(**options).fit(x, t, feature_names=names)
+    return SparseDynamics(**options).fit([each[::every] for each in x], t[::every], None, names)
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,11 @@ def models():
     return [fitted(seed) for seed in range(6)]
 
 
-def test_terms_are_exact_and_errors_cover(models):
+@pytest.mark.parametrize("every", [1, 20])
+def test_terms_are_exact_and_errors_cover(models, every):
     pulls = []
-    for model in models:
+    # Every twentieth row: 19 a period, between which cubics do not follow.
+    for model in models if every == 1 else [fitted(seed, every=every) for seed in range(4)]:
         assert [set(terms) for terms in model.terms_] == [set(e) for e in TRUTH.values()]
         assert model.state_.code == "ok"
         pulls += [
@@ -48,8 +50,8 @@ def test_terms_are_exact_and_errors_cover(models):
             for term in terms
         ]
     assert np.abs(pulls).max() < 4.0
-    # 24 standard normal pulls: their rms lies within 0.65 to 1.4 with 99 %.
-    assert 0.65 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    # 16 or 24 standard normal pulls: their rms lies within 0.6 to 1.45 with 99 %.
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.45
 
 
 def test_noise_is_estimated_and_simulation_returns_to_the_measured_cycle(models):
@@ -156,12 +158,10 @@ def test_single_odd_readings_are_refused_or_said():
         SparseDynamics().fit(x, t)
 
 
-def test_a_missing_state_and_rows_that_are_far_apart_are_not_called_ok():
+def test_a_missing_state_is_not_called_ok():
     x, t = van_der_pol(np.random.default_rng(6))
     model = SparseDynamics().fit([each[:, :1] for each in x], t)
     assert model.state_.code in ("unexplained", "no_equations")
-    model = SparseDynamics().fit([each[::20] for each in x], t[::20])
-    assert model.state_.code == "coarse_rows"
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -220,16 +220,17 @@ def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
         ({"known": {"x": {"x": np.nan}}}, "known"),
         ({"hidden": ["h"], "known": {"x": {"h": 1.0, "x y": 2.0}}}, "known"),
         ({"hidden": ["h"], "known": {"x": {"h": 0.0}}}, "known"),
+        ({"known": {"x": {"y": 1.0}, "y": {"x": -1.0}}}, "known"),
+        ({"hidden": "rotor"}, "hidden"),
+        ({"differentiation": ps.FiniteDifference}, "differentiation"),
         ({"hidden": ["x"]}, "feature_names, hidden"),
         ({"names": [0, 1]}, "feature_names, hidden"),
-        ({"names": ["1", "x"]}, "feature_names, hidden"),
         ({"names": ["x", "x^2"]}, "feature_names, hidden"),
     ],
 )
 def test_bad_options_are_named(options, where):
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=f"^{where}: "):
         fitted(0, **options)
-    assert error.value.where == where
 
 
 @pytest.mark.parametrize(
@@ -246,6 +247,5 @@ def test_bad_options_are_named(options, where):
     ],
 )
 def test_bad_input_is_named(x, t, u, where):
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=f"^{where}: "):
         SparseDynamics().fit(x, t, u)
-    assert error.value.where == where
