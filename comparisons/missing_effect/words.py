@@ -218,9 +218,10 @@ def _fall_words(d: Diagnosis) -> str:
             listed.append(f"stays at {scale.text(after)} in {of}")
             continue
         times = f"{significant(before / after, 3)} times smaller" if after else "no error left"
+        larger = f"{100.0 * (after / before - 1.0):.0f} % larger"
         verb = "" if listed and listed[-1].endswith(")") else "goes "
         fell = f"{verb}from {scale.text(before)} to {scale.text(after)} in {of}"
-        listed.append(f"{fell} ({times if after < before else 'not smaller'})")
+        listed.append(f"{fell} ({times if after < before else larger})")
     share = ""
     if d.gap.shrink > 0.0:
         closed = f"{100.0 * d.gap.shrink:.1f} %" if d.gap.shrink < 0.9995 else "all"

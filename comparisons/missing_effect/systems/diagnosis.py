@@ -21,14 +21,20 @@ from comparisons.missing_effect.search import (
 )
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
+from comparisons.missing_effect.systems.doubts import doubts_of, is_no_rest, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
-from comparisons.missing_effect.systems.quantities import correlation_of, covariance, numbers_of
+from comparisons.missing_effect.systems.quantities import (
+    AT_BOUND,
+    asked_beyond,
+    correlation_of,
+    covariance,
+    numbers_of,
+)
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
@@ -42,8 +48,6 @@ FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
 STILL_FORETOLD = "inputs and states still foretell the error that is left"
-# Share of a parameter's range that counts as at its bound.
-AT_BOUND = 1e-4
 
 Progress = Callable[[str], None]
 
@@ -139,6 +143,9 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     # Several rows a state; a number of the record's own shows slowly and takes a tenth of it.
     tenth = n // 10 if model.per_record else 0
     settle = experiment.settle or max(10, 5 * len(model.states), tenth)
+    # So many rows in which every output was read.
+    read = np.isfinite(experiment.columns(model.output_names)).cumsum(axis=0).min(axis=1)
+    settle = int(np.searchsorted(read, min(settle, read[-1]))) + 1
     experiment.require(
         abs(own_s - period_s) <= 1e-6 * period_s,
         "sample period",
@@ -159,39 +166,56 @@ def _concluded(
     left: Leftover,
 ) -> SystemDiagnosis:
     records = base.records
-    before, before_cov, metric = _whole(base)
+    before, before_cov, metric, beyond = _whole(base)
     after, after_cov = before, before_cov
     found = bench.fit.structure.effects
+    checked: tuple[CheckRun, ...] = ()
     while effects := bench.fit.structure.effects:
         whole = _whole(bench)
-        if not whole[0].failed:
-            after, after_cov, metric = whole
+        runs = (
+            ()
+            if whole[0].failed
+            else tuple(_checked(records, e, before, whole[0], refit=True) for e in checks)
+        )
+        if not whole[0].failed and not any(map(_lost, runs)):
+            after, after_cov, metric, beyond = whole
+            checked = runs
             break
-        # What fits two thirds of the rows may run away on all of them.
+        # What fits two thirds of the rows may run away on all of them, or on a check record.
         structure, last = bench.fit.structure, effects[-1]
         theta = np.delete(bench.fit.theta, structure.slots_of(last))
         bench = bench.refitted(structure.without(last), theta)
+    else:
+        checked = tuple(_checked(records, e, before, before, refit=False) for e in checks)
     added = after.structure.effects
     keys, gone = {e.key for e in added}, found[len(added) :]
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
-    checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
-    worse = [run for run in checked if np.any(run.worse)]
-    missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
+    missing = tuple(
+        _found(after, after_cov, r, p, records, checked, metric, beyond) for r, p in won
+    )
     if left.structured:
         # A name beyond the first may stand in for what is left.
         later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
         missing = (*missing[:1], *later)
     open_ = not missing and (
-        base.fit.failed or bool(gone) or _foretells_badly(base) or left.structured or left.disturbed
+        base.fit.failed
+        or bool(gone)
+        or bool(beyond)
+        or _foretells_badly(base, checked)
+        or left.structured
+        or left.disturbed
     )
-    remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
         parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
-        remarks=(*_remarks(base, rounds, missing, left, gone), *remarks),
+        remarks=(
+            *_beyond_words(beyond),
+            *_remarks(base, rounds, missing, left, gone, checked),
+            *_refitted_words(checked),
+        ),
         model=model,
         records=records,
         rounds=rounds,
@@ -207,13 +231,19 @@ def _concluded(
     )
 
 
-def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric]:
-    """Fit a model to all training rows, in the raw metric."""
+def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, tuple[str, ...]]:
+    """Fit a model to all training rows, in the raw metric; and say which bounds are in the way."""
     structure = replace(bench.fit.structure, offsets_free=False)
     runs = runs_of(bench.records, bench.records.whole, structure.between, begun=True)
     raw = raw_metric([run.outputs for run in runs])
     fit = replace(bench.fit, structure=structure).again(runs, raw)
-    return fit, covariance(fit, runs, raw), raw if fit.failed else metric_of(fit.errors)
+    cov, beyond = covariance(fit, runs, raw), asked_beyond(fit, runs, raw)
+    return fit, cov, raw if fit.failed else metric_of(fit.errors), beyond
+
+
+def _lost(run: CheckRun) -> bool:
+    """Tell whether a check record can be simulated without what was added, and not with it."""
+    return bool(np.any(np.isfinite(run.before_rms) & ~np.isfinite(run.after_rms)))
 
 
 def _found(
@@ -222,14 +252,19 @@ def _found(
     step: ModelRound,
     placed: Placed,
     records: Records,
-    worse: Sequence[CheckRun],
+    checks: Sequence[CheckRun],
+    metric: Metric,
+    beyond: Sequence[str],
 ) -> MissingEffect:
     winner = step.winner
     assert winner is not None
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
+    doubts = doubts_of(step, placed, numbers, checks, model)
+    if is_no_rest(fit, placed, records, metric.sigma):
+        doubts = (*doubts, "no readings rest at the limit within their noise")
+    doubts = (*doubts, *(f"the records ask for {bound}" for bound in beyond))
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
@@ -257,12 +292,23 @@ def _found(
     )
 
 
-def _foretells_badly(bench: Bench) -> bool:
-    """Tell whether the rows held out go far more wrong than those fitted.
+def _foretells_badly(bench: Bench, checks: Sequence[CheckRun]) -> bool:
+    """Tell whether rows that are not fitted go far more wrong than those that are.
 
     What happens in them alone cannot be found: nothing is fitted to them.
     """
-    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * bench.fit.rms))
+    largest = FORETOLD_BADLY * bench.fit.rms
+    rms = [bench.held_out_rms(), *(run.before_rms for run in checks)]
+    return any(bool(np.any(each > largest)) for each in rms)
+
+
+def _beyond_words(beyond: Sequence[str]) -> list[str]:
+    if not beyond:
+        return []
+    return [
+        f"The records ask for {' and '.join(beyond)}: widen it. Until then what is missing cannot "
+        "be parted from what the bound brings about."
+    ]
 
 
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
@@ -337,18 +383,22 @@ def _checked(
     return _run(experiment, "check", records.model, simulated, settle=experiment.settle)
 
 
-def _refitted_words(run: CheckRun) -> list[str]:
-    """Say what of a check record's error no fit to other records can know."""
-    out = []
-    for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True):
-        if own < WORTH_SAYING * after:
-            out.append(
-                f"{name} of {run.name}: with start and parameters fitted to this very record "
-                f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is its "
-                "start, which its first rows do not show well, what differs between the records, "
-                "or what the model still lacks: the training records cannot tell."
-            )
-    return out
+def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
+    """Say what of the error on check records no fit to other records can know."""
+    left = [
+        (f"{name} of {run.name} {100.0 * own / after:.0f} %")
+        for run in runs
+        for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True)
+        if own < WORTH_SAYING * after
+    ]
+    if not left:
+        return []
+    return [
+        "With start and parameters fitted to a check record itself the same model leaves less of "
+        f"its error: {', '.join(left)}. The rest is its start, which its first rows do not show "
+        "well, what differs between the records, or what the model still lacks: the training "
+        "records cannot tell."
+    ]
 
 
 def _remarks(
@@ -357,12 +407,13 @@ def _remarks(
     missing: Sequence[MissingEffect],
     left: Leftover,
     gone: Sequence[Placed],
+    checks: Sequence[CheckRun],
 ) -> tuple[str, ...]:
     model, out = base.records.model, []
     for placed in gone:
         out.append(
             f"With {plain_name(placed.label(model))} the model follows the rows fitted and runs "
-            "away on the whole records, so that it is not added: what is missing may resemble it."
+            "away on others, so that it is not added: what is missing may resemble it."
         )
     if not base.fit.failed and not gone and (left.structured or left.disturbed):
         out.append(left_words(left, bool(missing)))
@@ -371,11 +422,12 @@ def _remarks(
             "The model could not be simulated from its starts, so that nothing can be said of what "
             "it lacks: give other starts or bounds."
         )
-    elif not missing and not gone and _foretells_badly(base):
+    elif not missing and not gone and _foretells_badly(base, checks):
+        inside = _foretells_badly(base, ())
+        where = "The last third of the training rows" if inside else "A check record"
         out.append(
-            "The last third of the training rows, which is held out, goes wrong more than twice as "
-            "far as the rows fitted, and nothing fitted explains it: what is missing acts there "
-            "alone. Give records in which it acts earlier, or several."
+            f"{where} goes wrong more than twice as far as the rows fitted, and nothing fitted "
+            "explains it: what is missing acts there alone. Give training records in which it acts."
         )
     last = rounds[-1] if rounds else None
     labels = {item.label for item in missing} | {placed.label(model) for placed in gone}

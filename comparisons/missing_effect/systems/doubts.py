@@ -9,10 +9,10 @@ import numpy as np
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.quantities import plain_name
-from comparisons.missing_effect.runs import CheckRun
+from comparisons.missing_effect.runs import CheckRun, rms
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.fit import settled
+from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
@@ -21,7 +21,9 @@ from comparisons.missing_effect.systems.places import (
     label_of,
     signal_names,
 )
+from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.score import Prober, placed_effects
+from comparisons.missing_effect.systems.shapes import Kind, Map
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 
@@ -29,6 +31,8 @@ from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
 FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
+# Errors at a limit, over what is new in each, up to which readings rest there.
+REST = 3.0
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -37,10 +41,10 @@ def doubts_of(
     step: ModelRound,
     placed: Placed,
     numbers: Sequence[FittedParameter],
-    worse: Sequence[CheckRun],
+    checks: Sequence[CheckRun],
     model: Model,
 ) -> tuple[str, ...]:
-    """Return why a name is not firm; empty where it is."""
+    """Return why a name is not firm, or a term not to be relied on; empty where it is."""
     winner = step.winner
     assert winner is not None
     out = []
@@ -50,6 +54,19 @@ def doubts_of(
     elif amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
+    worse = [run for run in checks if np.any(run.worse)]
+    if worse:
+        names = ", ".join(run.name for run in worse)
+        out.append(f"the error on {names} got no better by it")
+    elif checks and not any(np.any(run.after_rms < run.before_rms) for run in checks):
+        out.append("the error on no check record got better by it")
+    if placed.effect.unnamed:
+        return tuple(out)
+    plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
+    unknown = [n.name for n in numbers[1:] if plain and not n.stderr < 0.5 * abs(n.value)]
+    if unknown:
+        name = plain_name(plain[0].label(model))
+        out.append(f"{' and '.join(unknown)} is not known: {name} would do")
     if step.rivalled:
         out.append("a term without a name explains more")
     elif _outfitted(step, winner):
@@ -67,10 +84,32 @@ def doubts_of(
         share = 100.0 * rival.rank / winner.rank
         name = plain_name(label_of(rival.added, model))
         out.append(f"{name} explains {share:.0f} % as much, and the record does not reject it")
-    if worse:
-        names = ", ".join(run.name for run in worse)
-        out.append(f"the error on {names} got no better by it")
     return tuple(out)
+
+
+def is_no_rest(fit: Fit, placed: Placed, records: Records, floor: Sequence[float]) -> bool:
+    """Tell whether a limit is one at which no readings rest, within their noise.
+
+    The top of a swing that a model overshoots looks like a limit, and readings pass it.
+    """
+    effect, limits = placed.effect, (Map.UPPER, Map.LOWER, Map.BOTH)
+    if effect.kind == Kind.OUTPUT_MAP and effect.code in limits:
+        which = [placed.place.at]
+    elif effect.kind == Kind.STATE_LIMIT:
+        which = list(range(len(records.model.outputs)))
+    else:
+        return False
+    for j in which:
+        errors = []
+        for path, record in zip(fit.paths, records.whole, strict=True):
+            measured = record.columns(records.model.output_names)[:, j]
+            same = np.diff(path.outputs[:, j]) == 0.0
+            still = np.r_[same, False] | np.r_[False, same]
+            errors.append((measured - path.outputs[:, j])[still])
+        left = rms(np.concatenate(errors)[:, None])[0]
+        if left < REST * floor[j]:
+            return False
+    return True
 
 
 def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
@@ -97,8 +136,9 @@ def left_words(left: Leftover, named: bool) -> str:
             f"times what is new in each sample{share}{follows}."
         )
     return (
-        f"{lead}omething slow is left: the error is {left.ratio:.0f} times what is new in each "
-        "sample. A disturbance does that, and so does something missing that no input shows."
+        f"{lead}omething is left that goes on from sample to sample: the error is "
+        f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
+        "something missing that no input shows."
     )
 
 

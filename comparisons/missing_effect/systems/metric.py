@@ -57,8 +57,10 @@ class Metric:
         out = np.empty_like(errors)
         for j, (sigma, ar, lags) in enumerate(zip(self.sigma, self.ar, self._lags, strict=True)):
             white = errors[:, j].copy()
-            for a, lag in zip(ar, lags, strict=True):
-                white[lag:] -= a * errors[:-lag, j]
+            # A run that failed is infinite.
+            with np.errstate(invalid="ignore", over="ignore"):
+                for a, lag in zip(ar, lags, strict=True):
+                    white[lag:] -= a * errors[:-lag, j]
             out[:, j] = white / sigma
         first = errors.reshape(*errors.shape[:2], -1)[:, :, 0] if errors.size else errors
         unknown = ~np.isfinite(out)

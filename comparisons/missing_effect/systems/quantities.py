@@ -18,10 +18,13 @@ from comparisons.missing_effect.systems.places import AT_OUTPUTS, Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.structure import Run
 from comparisons.missing_effect.systems.units import product_of_units
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
+# Share of a parameter's range that counts as at its bound, and standard errors beyond it that say
+# that the records want it wider.
+AT_BOUND, BEYOND = 1e-4, 3.0
 # Powers of the scales in which the numbers of an effect are given, slot by slot: of dx/dt that it
 # enters, of its own signal, of a second signal or a time, of the sample period, of half the span.
 ACTS_IN, ENTERS = (Kind.TERM, Kind.HYSTERESIS), {"into": 1, "second": -1}
@@ -45,13 +48,62 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
 
     Behind θ stand the parameters that each record has of its own, record by record.
     """
-    # Offsets are held in the raw fit, but they are not known exactly.
-    which = replace(fit.structure, offsets_free=True).free
-    m, n_x = which.size, len(fit.structure.model.states)
-    size = m + n_x * len(runs)
+    which, n_x = _which(fit), len(fit.structure.model.states)
+    m = which.size
     if fit.failed:
         size = fit.theta.size + len(runs) * len(fit.structure.model.per_record)
         return np.full((size, size), np.nan)
+    spread, blind = sandwich(*_slopes(fit, runs, metric))
+    spread[blind, blind] = np.inf
+    model = fit.structure.model
+    of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
+    kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
+    at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
+    whole = np.zeros((at.size + fit.theta.size - m,) * 2)
+    whole[np.ix_(at, at)] = spread[np.ix_(kept, kept)]
+    return whole
+
+
+def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ...]:
+    """Return the parameters that rest on a bound of the user's against what the runs ask for.
+
+    The errors' slopes ask for a step across the bound of more than three standard errors.
+    """
+    if fit.failed:
+        return ()
+    normal, scores = _slopes(fit, runs, metric)
+    spread, blind = sandwich(normal, scores)
+    step = np.linalg.lstsq(normal, scores.sum(axis=0), rcond=None)[0]
+    out = []
+    for c, i in enumerate(_which(fit)[: len(fit.structure.model.params)]):
+        if i >= len(fit.structure.model.params) or blind[c]:
+            continue
+        name, p = list(fit.structure.model.params.items())[i]
+        room = p.high - fit.theta[i] if step[c] > 0.0 else fit.theta[i] - p.low
+        at_bound = room < AT_BOUND * (p.high - p.low)
+        if at_bound and abs(step[c]) > BEYOND * np.sqrt(spread[c, c]):
+            bound = (
+                f"above its bound of {p.high:g}"
+                if step[c] > 0.0
+                else f"below its bound of {p.low:g}"
+            )
+            out.append(f"{name} {bound} {p.unit}".rstrip())
+    return tuple(out)
+
+
+def _which(fit: Fit) -> IntArray:
+    """Return the numbers of θ that have an error.
+
+    Offsets are held in the raw fit, but they are not known exactly.
+    """
+    return replace(fit.structure, offsets_free=True).free
+
+
+def _slopes(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[FloatArray, FloatArray]:
+    """Return the normal matrix and the downhill slopes of blocks of rows, starts behind θ."""
+    which = _which(fit)
+    m, n_x = which.size, len(fit.structure.model.states)
+    size = m + n_x * len(runs)
     normal, scores = np.zeros((size, size)), []
     blocks = max(4, SANDWICH_BLOCKS // len(runs))
     answers = fit.whitened_answers(runs, metric.with_size_of(fit.errors), which)
@@ -63,15 +115,7 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
             score[at] = part.T @ error[rows].ravel()
             scores.append(score)
         normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
-    spread, blind = sandwich(normal, np.array(scores))
-    spread[blind, blind] = np.inf
-    model = fit.structure.model
-    of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
-    kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
-    at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
-    whole = np.zeros((at.size + fit.theta.size - m,) * 2)
-    whole[np.ix_(at, at)] = spread[np.ix_(kept, kept)]
-    return whole
+    return normal, np.array(scores)
 
 
 def numbers_of(

@@ -12,7 +12,7 @@ import system_truths as truth
 from comparisons.missing_effect.systems.fit import fit_runs
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import P
-from comparisons.missing_effect.systems.quantities import covariance, numbers_of
+from comparisons.missing_effect.systems.quantities import asked_beyond, covariance, numbers_of
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
 
@@ -51,6 +51,20 @@ def z_scores(structure: Structure, run: Run, a: float) -> np.ndarray:
         stderr = np.sqrt(np.diag(covariance(fit, [noisy], raw))[:3])
         out.append((fit.theta[:3] - TRUE) / stderr)
     return np.array(out)
+
+
+def test_a_bound_that_is_in_the_way_is_reported(quiet: tuple[Structure, Run]) -> None:
+    """Bounds a tenth below, at and above the truth; one at the truth is pressed by noise alone."""
+    structure, run = quiet
+    (name, p), size = next(iter(structure.model.params.items())), NOISE * np.std(run.outputs)
+    for seed, share in enumerate([0.9, 1.0, 1.0, 1.0, 1.1]):
+        noise = size * np.random.default_rng(seed).standard_normal(run.outputs.shape)
+        own = replace(p, start=p.low, high=share * TRUE[0])
+        model = replace(structure.model, params={**structure.model.params, name: own})
+        noisy = replace(run, outputs=run.outputs + noise)
+        fit = make.fitted(replace(structure, model=model), [noisy], [p.low, *TRUE[1:], 0.0])
+        asked = asked_beyond(fit, [noisy], raw_metric([noisy.outputs]))
+        assert [name in each for each in asked] == [True] * (share < 1.0)
 
 
 @pytest.mark.parametrize(("a", "spread"), [(0.0, (0.75, 1.35)), (0.8, (0.75, 1.45))])
