@@ -181,6 +181,9 @@ def _named(item: MissingEffect) -> str:
         return f"{name}{f', {term},' * item.unnamed} {PORT_WORDS[place['port']]}"
     where = next((words.format(place[key]) for key, words in _PLACES.items() if key in place), "")
     acts = "·".join(place[key] for key in ("signal", "times") if key in place)
+    # With its powers: a term without a name is q³, or q²·v.
+    powers = re.search(r"\((.+)\)", item.label) if item.unnamed else None
+    acts = powers[1] if powers else acts
     # An input or a state that acts on itself needs no second name.
     on = f", acting on {acts}" if acts and "equation" in place else ""
     into = f", spilling into {place['into']}" if "into" in place else ""

@@ -133,7 +133,9 @@ def fit_runs(
     if not known:
         size = scales_of(structure, point.paths)
         point = search.at(point.theta, begun, size)
-    point = search.run(point, most)
+    # The linearised run of a model on the brink of running away overflows.
+    with np.errstate(invalid="ignore", over="ignore"):
+        point = search.run(point, most)
     return replace(point, scale=scales_of(structure, point.paths))
 
 
