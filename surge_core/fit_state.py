@@ -124,7 +124,7 @@ class FitState(StrEnum):
     )
     COARSE_ROWS = (
         "coarse_rows",
-        "between two rows the states bend more than a sixteenth of a step follows: coefficients "
+        "between two rows the states or the inputs bend more than can be followed: coefficients "
         "may be off by more than their errors say, and needless terms may make up for it; sample "
         "faster",
     )

@@ -293,6 +293,6 @@ def verdict_of(missing: Sequence[MissingEffect], otherwise: str) -> str:
         return otherwise
     if missing[0].unnamed:
         return "unnamed_term"
-    if any(item.provisional for item in missing):
+    if any(item.provisional for item in missing if not item.unnamed):
         return "provisional"
     return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"

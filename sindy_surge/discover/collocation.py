@@ -58,9 +58,8 @@ class Collocation:
     hidden: BoolArray  # (n_states,): States that are not measured
     # Length of the segments that trajectories are cut into, each with a start of its own
     rows: int | None = None
-    parts: int = (
-        0  # Parts of a step in Runge and Kutta's rule; 0 for the rule of Hermite and Simpson
-    )
+    # Parts of a step in Runge and Kutta's rule; 0 for the rule of Hermite and Simpson
+    parts: int = 0
     joined: BoolArray = field(init=False)
     middle: FloatArray = field(init=False)  # Inputs half-way to the next row, and on arrival there
     end: FloatArray = field(init=False)
@@ -128,12 +127,14 @@ class Collocation:
         fit = self.fit(np.array(support, dtype=np.intp), near.xi, near.x)
         return fit, fit.chi2 if fit.converged else np.inf
 
-    def rule_moves(self, support: Support, fit: Fit) -> float:
-        """Return how far the error of the rule between rows moves the coefficients, as χ²."""
-        about, finer = (
-            self._about(fit.x, fit.xi),
-            _Shot(self, fit.x, fit.xi, 2 * max(self.parts, 2)),
-        )
+    def rule_moves(self, support: Support, fit: Fit, degree: int = 3) -> float:
+        """Return how far the error of the rule between rows moves the coefficients, as χ².
+
+        With splines of another degree that of smooth inputs between rows counts too.
+        """
+        about = self._about(fit.x, fit.xi)
+        # Half the step has a sixteenth of the error.
+        finer = _Shot(self, fit.x, fit.xi, 2 * max(self.parts, 2), degree)
         error = finer.r - about.r
         if not np.isfinite(error).all():
             return float(np.inf)
@@ -244,9 +245,11 @@ class _About:
 class _Shot(_About):
     """The same by Runge and Kutta's rule on equal parts of each step."""
 
-    def __init__(self, problem: Collocation, x: FloatArray, xi: FloatArray, parts: int) -> None:
+    def __init__(
+        self, problem: Collocation, x: FloatArray, xi: FloatArray, parts: int, degree: int = 3
+    ) -> None:
         super().__init__(problem, x, xi)
-        self.parts = parts
+        self.parts, self.degree = parts, degree
         with np.errstate(all="ignore"):
             r = x[1:] - self._end(x[:-1], lambda x, u: problem.features.values(x, u) @ self.total)
             self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
@@ -277,15 +280,10 @@ class _Shot(_About):
         self, z: FloatArray, rate: Callable[[FloatArray, FloatArray], FloatArray]
     ) -> FloatArray:
         """Run from each row to the next."""
-        problem, h = self.problem, self.h / self.parts
-        u, middle, end = problem.data.u[:-1], problem.middle, problem.end
-
-        def at(share: float) -> FloatArray:
-            between = (1 - 2 * share) * u + 4 * share * middle
-            return np.asarray((1 - share) * between + share * (2 * share - 1) * end)
-
+        h, data = self.h / self.parts, self.problem.data
         for part in range(self.parts):
-            u0, u1, u2 = (at((part + more) / self.parts) for more in (0.0, 0.5, 1.0))
+            shares = [(part + more) / self.parts for more in (0.0, 0.5, 1.0)]
+            u0, u1, u2 = (data.inputs_at(share, self.degree) for share in shares)
             a = rate(z, u0)
             b = rate(z + h / 2 * a, u1)
             c = rate(z + h / 2 * b, u1)

@@ -31,6 +31,8 @@ from surge_core.types import BoolArray, FloatArray
 _HIDDEN_FREEDOM = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
+# Of splines through the inputs, beside the cubic ones: where both agree, either will do.
+_OTHER_DEGREE = 5
 # What is left over the noise that differences show, before a run of it withholds the equations.
 _EXCESS = 1.2
 # Lags at which what the equations leave is held against white noise, and how rarely that may fail
@@ -484,7 +486,8 @@ class SparseDynamics(BaseEstimator):
             FitState.UNEXPLAINED: np.any(coloured & large),
             FitState.SHORT_RUNS_ONLY: problem.rows is not None,
             # By more than a standard error each, in the mean square.
-            FitState.COARSE_ROWS: problem.rule_moves(best.support, best.fit) > len(best.support),
+            FitState.COARSE_ROWS: problem.rule_moves(best.support, best.fit, _OTHER_DEGREE)
+            > len(best.support),
             FitState.COLOURED_REST: np.any(coloured),
             FitState.ODD_ROWS: any(map(np.any, far)),
             # The weight of a model is e to its score.

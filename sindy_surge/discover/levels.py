@@ -50,14 +50,18 @@ def search_by_levels(
     found = _searched(problem, rates, given, optimizer, None, full=full)
     for parts in _PARTS:
         levels, best = found
-        if best.support and np.isfinite(best.score):
-            moves = levels[0].likelihood.rule_moves(best.support, best.fit)
-            if moves <= _COARSE * len(best.support):
-                break
+        last, most = levels[0].likelihood, _COARSE * len(best.support)
+        enough = not best.support or not np.isfinite(best.score)
+        if enough or last.rule_moves(best.support, best.fit) <= most:
+            break
+        few = replace(last, parts=parts).rule_moves(best.support, best.fit) > most
+        if few and parts < _PARTS[-1]:
+            continue
         finer = replace(problem, parts=parts)
-        near = best.fit if np.isfinite(best.score) else None
-        again = _searched(finer, rates, given, optimizer, near, full=full)
-        found = again if np.isfinite(again[1].score) else found
+        again = _searched(finer, rates, given, optimizer, best.fit, full=full)
+        # Not where only shorter stretches are followed.
+        whole = again[0][0].likelihood.rows is None or last.rows is not None
+        found = again if whole and np.isfinite(again[1].score) else found
     return found
 
 

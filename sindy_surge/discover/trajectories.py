@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from sindy_surge.candidate_terms import fitted_library, independent_columns
 from sindy_surge.library import monomials
@@ -209,6 +210,21 @@ class Trajectories:
     def end_inputs(self) -> FloatArray:
         """Return the inputs on arrival at the next row, (n_rows - 1, n_inputs)."""
         return np.where(self.held, self.u[:-1], self.u[1:])
+
+    @cached_property
+    def _between(self) -> dict[tuple[float, int], FloatArray]:
+        return {}
+
+    def inputs_at(self, share: float, degree: int = 3) -> FloatArray:
+        """Return the inputs after a share of each step, (n_rows - 1, n_inputs), by splines."""
+        if (share, degree) not in self._between:
+            value = self.u[:-1].copy()
+            for rows in self.runs.slices() if not self.held.all() else ():
+                t, own = self.time_s[rows], slice(rows.start, rows.stop - 1)
+                smooth = make_interp_spline(t, self.u[rows], degree)(t[:-1] + share * np.diff(t))
+                value[own] = np.where(self.held, value[own], smooth)
+            self._between[share, degree] = value
+        return self._between[share, degree]
 
     def middle_inputs(self) -> FloatArray:
         """Return the inputs half-way between rows (n_rows - 1, n_inputs), smooth ones by cubics."""

@@ -21,7 +21,12 @@ from comparisons.missing_effect.search import (
 )
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-from comparisons.missing_effect.systems.doubts import doubts_of, is_no_rest, left_words, leftover_of
+from comparisons.missing_effect.systems.doubts import (
+    doubts_of,
+    left_words,
+    leftover_of,
+    passes_limit,
+)
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
@@ -66,7 +71,8 @@ def diagnose_model(
     """Find what a model lacks, name it, add it, and show the error fall on other records.
 
     Names come from the training records alone: two thirds are fitted and the last third is held
-    out of the fits. Check records are simulated at the end; nothing is chosen by them.
+    out of the fits. Check records are simulated at the end: no name is chosen by them, and they can
+    only speak against one.
 
     Parameters
     ----------
@@ -75,7 +81,7 @@ def diagnose_model(
     fit : Experiment or sequence of Experiment
         Training records, of whatever lengths.
     check : Experiment or sequence of Experiment
-        Records that are only shown.
+        Records that are simulated and shown.
     catalogue : sequence of SystemEffect
         The names.
     library : sequence of SystemEffect
@@ -142,10 +148,12 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     model, n, own_s = records.model, experiment.n_samples, experiment.sample_period_s
     # Several rows a state; a number of the record's own shows slowly and takes a tenth of it.
     tenth = n // 10 if model.per_record else 0
-    settle = experiment.settle or max(10, 5 * len(model.states), tenth)
-    # So many rows in which every output was read.
-    read = np.isfinite(experiment.columns(model.output_names)).cumsum(axis=0).min(axis=1)
-    settle = int(np.searchsorted(read, min(settle, read[-1]))) + 1
+    settle = experiment.settle
+    if not settle:
+        # So many readings of each output, in a third of the rows at most.
+        wanted = max(10, 5 * len(model.states), tenth)
+        read = np.isfinite(experiment.columns(model.output_names)).cumsum(axis=0).min(axis=1)
+        settle = max(wanted, min(int(np.searchsorted(read, wanted)) + 1, n // 3))
     experiment.require(
         abs(own_s - period_s) <= 1e-6 * period_s,
         "sample period",
@@ -198,11 +206,12 @@ def _concluded(
         # A name beyond the first may stand in for what is left.
         later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
         missing = (*missing[:1], *later)
+    badly = "" if missing or base.fit.failed else _badly_foretold(base, checked)
     open_ = not missing and (
         base.fit.failed
         or bool(gone)
         or bool(beyond)
-        or _foretells_badly(base, checked)
+        or bool(badly)
         or left.structured
         or left.disturbed
     )
@@ -213,7 +222,7 @@ def _concluded(
         unavailable=rounds[-1].refused if rounds else {},
         remarks=(
             *_beyond_words(beyond),
-            *_remarks(base, rounds, missing, left, gone, checked),
+            *_remarks(base, rounds, missing, left, gone, badly),
             *_refitted_words(checked),
         ),
         model=model,
@@ -262,8 +271,8 @@ def _found(
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = doubts_of(step, placed, numbers, checks, model)
-    if is_no_rest(fit, placed, records, metric.sigma):
-        doubts = (*doubts, "no readings rest at the limit within their noise")
+    if passes_limit(fit, placed, records, metric.sigma):
+        doubts = (*doubts, "readings pass the limit by more than their noise")
     doubts = (*doubts, *(f"the records ask for {bound}" for bound in beyond))
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
@@ -292,22 +301,29 @@ def _found(
     )
 
 
-def _foretells_badly(bench: Bench, checks: Sequence[CheckRun]) -> bool:
-    """Tell whether rows that are not fitted go far more wrong than those that are.
+def _badly_foretold(bench: Bench, checks: Sequence[CheckRun]) -> str:
+    """Return which rows that are not fitted go far more wrong than those that are, if any do.
 
-    What happens in them alone cannot be found: nothing is fitted to them.
+    What happens in them alone cannot be found: nothing is fitted to them. Larger noise on a check
+    record is none of it.
     """
     largest = FORETOLD_BADLY * bench.fit.rms
-    rms = [bench.held_out_rms(), *(run.before_rms for run in checks)]
-    return any(bool(np.any(each > largest)) for each in rms)
+    if np.any(bench.held_out_rms() > largest):
+        return "The last third of the training rows"
+    for run in checks:
+        rms = run.before_rms
+        new = metric_of([run.errors(before=True)]).sigma if np.isfinite(rms).all() else np.zeros(1)
+        if not np.all((rms <= largest) | (rms <= FORETOLD_BADLY * np.asarray(new))):
+            return f"The check record {run.name}"
+    return ""
 
 
 def _beyond_words(beyond: Sequence[str]) -> list[str]:
     if not beyond:
         return []
     return [
-        f"The records ask for {' and '.join(beyond)}: widen it. Until then what is missing cannot "
-        "be parted from what the bound brings about."
+        f"The records ask for {' and '.join(beyond)}: widen the bound, if the quantity allows it. "
+        "What is missing cannot be parted from what the bound brings about."
     ]
 
 
@@ -407,7 +423,7 @@ def _remarks(
     missing: Sequence[MissingEffect],
     left: Leftover,
     gone: Sequence[Placed],
-    checks: Sequence[CheckRun],
+    badly: str,
 ) -> tuple[str, ...]:
     model, out = base.records.model, []
     for placed in gone:
@@ -422,12 +438,11 @@ def _remarks(
             "The model could not be simulated from its starts, so that nothing can be said of what "
             "it lacks: give other starts or bounds."
         )
-    elif not missing and not gone and _foretells_badly(base, checks):
-        inside = _foretells_badly(base, ())
-        where = "The last third of the training rows" if inside else "A check record"
+    elif badly and not gone:
         out.append(
-            f"{where} goes wrong more than twice as far as the rows fitted, and nothing fitted "
-            "explains it: what is missing acts there alone. Give training records in which it acts."
+            f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
+            "simulated, and nothing fitted explains it: what is missing acts there alone. Give "
+            "training records in which it acts."
         )
     last = rounds[-1] if rounds else None
     labels = {item.label for item in missing} | {placed.label(model) for placed in gone}

@@ -26,12 +26,13 @@ from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
+from surge_core.types import FloatArray
 
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
 FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
-# Errors at a limit, over what is new in each, up to which readings rest there.
+# Errors at a limit, over what is new in each, beyond which readings pass it.
 REST = 3.0
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
@@ -58,7 +59,7 @@ def doubts_of(
     if worse:
         names = ", ".join(run.name for run in worse)
         out.append(f"the error on {names} got no better by it")
-    elif checks and not any(np.any(run.after_rms < run.before_rms) for run in checks):
+    elif checks and not any(np.any(run.after_rms < _known(run.before_rms)) for run in checks):
         out.append("the error on no check record got better by it")
     if placed.effect.unnamed:
         return tuple(out)
@@ -87,29 +88,26 @@ def doubts_of(
     return tuple(out)
 
 
-def is_no_rest(fit: Fit, placed: Placed, records: Records, floor: Sequence[float]) -> bool:
-    """Tell whether a limit is one at which no readings rest, within their noise.
+def passes_limit(fit: Fit, placed: Placed, records: Records, floor: Sequence[float]) -> bool:
+    """Tell whether readings do not rest, within their noise, where a sensor is at its limit.
 
     The top of a swing that a model overshoots looks like a limit, and readings pass it.
     """
-    effect, limits = placed.effect, (Map.UPPER, Map.LOWER, Map.BOTH)
-    if effect.kind == Kind.OUTPUT_MAP and effect.code in limits:
-        which = [placed.place.at]
-    elif effect.kind == Kind.STATE_LIMIT:
-        which = list(range(len(records.model.outputs)))
-    else:
+    sides = {Map.UPPER: (np.max,), Map.LOWER: (np.min,), Map.BOTH: (np.max, np.min)}
+    if placed.effect.kind != Kind.OUTPUT_MAP or placed.effect.code not in sides:
         return False
-    for j in which:
-        errors = []
-        for path, record in zip(fit.paths, records.whole, strict=True):
-            measured = record.columns(records.model.output_names)[:, j]
-            same = np.diff(path.outputs[:, j]) == 0.0
-            still = np.r_[same, False] | np.r_[False, same]
-            errors.append((measured - path.outputs[:, j])[still])
-        left = rms(np.concatenate(errors)[:, None])[0]
-        if left < REST * floor[j]:
-            return False
-    return True
+    j, names = placed.place.at, records.model.output_names
+    whole = np.concatenate([path.outputs[:, j] for path in fit.paths])
+    measured = np.concatenate([record.columns(names)[:, j] for record in records.whole])
+    still = np.any([whole == side(whole) for side in sides[Map(placed.effect.code)]], axis=0)
+    # A single row is the top of a swing, or what a recording filter leaves.
+    error = (measured - whole)[still][:, None]
+    return bool(len(error) > len(fit.paths) and rms(error)[0] > REST * floor[j])
+
+
+def _known(size: FloatArray) -> FloatArray:
+    """Return errors, infinite where a record could not be simulated."""
+    return np.nan_to_num(size, nan=np.inf)
 
 
 def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:

@@ -48,12 +48,13 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
 
     Behind θ stand the parameters that each record has of its own, record by record.
     """
-    which, n_x = _which(fit), len(fit.structure.model.states)
-    m = which.size
+    # Offsets are held in the raw fit, but they are not known exactly.
+    which = replace(fit.structure, offsets_free=True).free
+    m, n_x = which.size, len(fit.structure.model.states)
     if fit.failed:
         size = fit.theta.size + len(runs) * len(fit.structure.model.per_record)
         return np.full((size, size), np.nan)
-    spread, blind = sandwich(*_slopes(fit, runs, metric))
+    spread, blind = sandwich(*_slopes(fit, runs, metric, which))
     spread[blind, blind] = np.inf
     model = fit.structure.model
     of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
@@ -65,43 +66,43 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
 
 
 def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ...]:
-    """Return the parameters that rest on a bound of the user's against what the runs ask for.
+    """Return the parameters at a bound beyond which the runs ask for more, and that bound.
 
-    The errors' slopes ask for a step across the bound of more than three standard errors.
+    The slopes of the errors ask for a step across it of more than three standard errors. Those of
+    each record's own are not looked at.
     """
-    if fit.failed:
+    params = fit.structure.model.params
+    room = [min(p.high - v, v - p.low) for p, v in zip(params.values(), fit.theta, strict=False)]
+    near = [r < AT_BOUND * (p.high - p.low) for r, p in zip(room, params.values(), strict=True)]
+    if fit.failed or not any(near):
         return ()
-    normal, scores = _slopes(fit, runs, metric)
-    spread, blind = sandwich(normal, scores)
-    step = np.linalg.lstsq(normal, scores.sum(axis=0), rcond=None)[0]
+    which = fit.structure.free
+    normal, scores = _slopes(fit, runs, metric, which)
+    # What the bound brings about is no scatter.
+    spread, blind = sandwich(normal, scores - scores.mean(axis=0))
+    slope, n_x = scores.sum(axis=0), len(fit.structure.model.states)
+    for r, (run, start) in enumerate(zip(runs, fit.starts, strict=True)):
+        own = slice(which.size + n_x * r, which.size + n_x * (r + 1))
+        slope[own] -= (start[:n_x] - run.x0_mean) / run.x0_sd**2
+    step = np.linalg.lstsq(normal, slope, rcond=None)[0]
     out = []
-    for c, i in enumerate(_which(fit)[: len(fit.structure.model.params)]):
-        if i >= len(fit.structure.model.params) or blind[c]:
+    for i, (name, p) in enumerate(params.items()):
+        column = np.flatnonzero(which == i)
+        if not near[i] or not column.size or blind[column[0]]:
             continue
-        name, p = list(fit.structure.model.params.items())[i]
-        room = p.high - fit.theta[i] if step[c] > 0.0 else fit.theta[i] - p.low
-        at_bound = room < AT_BOUND * (p.high - p.low)
-        if at_bound and abs(step[c]) > BEYOND * np.sqrt(spread[c, c]):
-            bound = (
-                f"above its bound of {p.high:g}"
-                if step[c] > 0.0
-                else f"below its bound of {p.low:g}"
-            )
-            out.append(f"{name} {bound} {p.unit}".rstrip())
+        asked = float(step[column[0]] / np.sqrt(spread[column[0], column[0]]))
+        high = p.high - fit.theta[i] < fit.theta[i] - p.low
+        if (asked if high else -asked) > BEYOND:
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            bound = f"above its bound of {p.high:g}" if high else f"below its bound of {p.low:g}"
+            out.append(f"{name} {bound}{unit}".rstrip())
     return tuple(out)
 
 
-def _which(fit: Fit) -> IntArray:
-    """Return the numbers of θ that have an error.
-
-    Offsets are held in the raw fit, but they are not known exactly.
-    """
-    return replace(fit.structure, offsets_free=True).free
-
-
-def _slopes(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[FloatArray, FloatArray]:
+def _slopes(
+    fit: Fit, runs: Sequence[Run], metric: Metric, which: IntArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix and the downhill slopes of blocks of rows, starts behind θ."""
-    which = _which(fit)
     m, n_x = which.size, len(fit.structure.model.states)
     size = m + n_x * len(runs)
     normal, scores = np.zeros((size, size)), []

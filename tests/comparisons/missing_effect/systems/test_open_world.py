@@ -101,7 +101,6 @@ def test_errors_that_follow_a_product_are_foretold() -> None:
     assert share > 0.3
     assert follows == "a·b"
     assert Leftover(p, p, share, 1.0).structured
-    assert Leftover(0.9, p, share, 1.0).structured
 
 
 def measured(folder: str, name: str) -> Experiment:

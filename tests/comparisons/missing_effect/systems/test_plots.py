@@ -40,5 +40,6 @@ def test_every_diagnosis_is_drawn(kind: str) -> None:
 
 
 def test_small_numbers_are_given_in_a_unit_that_reads_well() -> None:
-    told = {"m": "12.3 mm", "m²": "0.0123 m²", "kN": "12.3·10⁻³ kN", "1": "0.0123"}
-    assert {u: scale_of(u, [0.0123, float("nan")]).text(0.0123) for u in told} == told
+    said = {("m", 0.0123): "12.3 mm", ("m²", 0.02): "0.0200 m²", ("kN", 2e-5): "20.0·10⁻⁶ kN"}
+    said[("1", 3e-4)] = "0.300·10⁻³"
+    assert {(u, x): scale_of(u, [x, float("nan")]).text(x) for u, x in said} == said
