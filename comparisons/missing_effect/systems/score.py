@@ -30,7 +30,7 @@ LEAST_OWN_SHARE = 1e-6
 LEAST_BASIS = 1e-9
 # Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
 # fewest blocks of a run.
-FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 2000, 0.99, 20, 12
+FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 1000, 0.99, 20, 12
 # Share of its power below which an autocorrelation remembers nothing.
 REMEMBERED = 0.1
 # Columns that are paired, and the cosine from which on two say the same.
