@@ -25,7 +25,6 @@ from comparisons.missing_effect.systems.doubts import (
     doubts_of,
     left_words,
     leftover_of,
-    passes_limit,
 )
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, settled
@@ -199,13 +198,13 @@ def _concluded(
     keys, gone = {e.key for e in added}, found[len(added) :]
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
-    missing = tuple(
-        _found(after, after_cov, r, p, records, checked, metric, beyond) for r, p in won
-    )
+    missing = tuple(_found(after, after_cov, r, p, records, checked, beyond) for r, p in won)
     if left.structured:
-        # A name beyond the first may stand in for what is left.
-        later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[1:]]
-        missing = (*missing[:1], *later)
+        # A name beyond the first may stand in for what is left; so may the first, without a check
+        # record to prove it.
+        sure = 1 if checks else 0
+        later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[sure:]]
+        missing = (*missing[:sure], *later)
     badly = "" if missing or base.fit.failed else _badly_foretold(base, checked)
     open_ = not missing and (
         base.fit.failed
@@ -262,7 +261,6 @@ def _found(
     placed: Placed,
     records: Records,
     checks: Sequence[CheckRun],
-    metric: Metric,
     beyond: Sequence[str],
 ) -> MissingEffect:
     winner = step.winner
@@ -271,9 +269,7 @@ def _found(
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = doubts_of(step, placed, numbers, checks, model)
-    if passes_limit(fit, placed, records, metric.sigma):
-        doubts = (*doubts, "readings pass the limit by more than their noise")
-    doubts = (*doubts, *(f"the records ask for {bound}" for bound in beyond))
+    doubts += tuple(f"the records ask for {bound}" for bound in beyond)
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
@@ -402,7 +398,7 @@ def _checked(
 def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
     """Say what of the error on check records no fit to other records can know."""
     left = [
-        (f"{name} of {run.name} {100.0 * own / after:.0f} %")
+        f"{name} of {run.name} {100.0 * own / after:.0f} %"
         for run in runs
         for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True)
         if own < WORTH_SAYING * after

@@ -9,10 +9,10 @@ import numpy as np
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.quantities import plain_name
-from comparisons.missing_effect.runs import CheckRun, rms
+from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.fit import Fit, settled
+from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
@@ -21,9 +21,7 @@ from comparisons.missing_effect.systems.places import (
     label_of,
     signal_names,
 )
-from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.score import Prober, placed_effects
-from comparisons.missing_effect.systems.shapes import Kind, Map
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.types import FloatArray
@@ -32,8 +30,6 @@ from surge_core.types import FloatArray
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
 FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
-# Errors at a limit, over what is new in each, beyond which readings pass it.
-REST = 3.0
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -86,23 +82,6 @@ def doubts_of(
         name = plain_name(label_of(rival.added, model))
         out.append(f"{name} explains {share:.0f} % as much, and the record does not reject it")
     return tuple(out)
-
-
-def passes_limit(fit: Fit, placed: Placed, records: Records, floor: Sequence[float]) -> bool:
-    """Tell whether readings do not rest, within their noise, where a sensor is at its limit.
-
-    The top of a swing that a model overshoots looks like a limit, and readings pass it.
-    """
-    sides = {Map.UPPER: (np.max,), Map.LOWER: (np.min,), Map.BOTH: (np.max, np.min)}
-    if placed.effect.kind != Kind.OUTPUT_MAP or placed.effect.code not in sides:
-        return False
-    j, names = placed.place.at, records.model.output_names
-    whole = np.concatenate([path.outputs[:, j] for path in fit.paths])
-    measured = np.concatenate([record.columns(names)[:, j] for record in records.whole])
-    still = np.any([whole == side(whole) for side in sides[Map(placed.effect.code)]], axis=0)
-    # A single row is the top of a swing, or what a recording filter leaves.
-    error = (measured - whole)[still][:, None]
-    return bool(len(error) > len(fit.paths) and rms(error)[0] > REST * floor[j])
 
 
 def _known(size: FloatArray) -> FloatArray:

@@ -208,3 +208,12 @@ def test_what_differs_between_the_records_is_told_apart_from_what_is_missing() -
     assert found.checks[1].after_rms[0] > 2.0 * found.checks[1].refitted_rms[0]
     told = [remark for remark in found.remarks if "cannot tell" in remark]
     assert [("rougher" in remark, "smooth" in remark) for remark in told] == [(True, False)]
+
+
+def test_what_acts_in_a_check_record_alone_leaves_the_answer_open_and_noise_does_not() -> None:
+    fit = make.experiment("pipe", truth.pipe(1, TRAIN, noise=NOISE), "training")
+    rough = make.experiment("pipe", truth.pipe(51, CHECK, noise=NOISE, drag=0.3), "rough")
+    noisy = make.experiment("pipe", truth.pipe(51, CHECK, noise=5.0 * NOISE), "noisy")
+    found = [diagnose_model(make.pipe(), fit, check) for check in (rough, noisy)]
+    assert [one.verdict for one in found] == ["unexplained_structure", "nothing_missing"]
+    assert "check record rough" in found[0].remarks[0]
