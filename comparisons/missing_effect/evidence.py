@@ -143,6 +143,21 @@ class Evidence:
         """Whether it stands, and wins more than the best of all does by chance."""
         return self.stands and self.train + self.later > self.chance
 
+    @property
+    def refused_on(self) -> tuple[str, ...]:
+        """On which rows it falls short; empty where it does on none."""
+        if self.at_end:
+            return ("end of the search",)
+        by_share = self.least_share == self.least_share
+        short = {
+            "share": by_share and not self.share >= self.least_share,
+            "fitted rows": not by_share and not self.p_value < LARGEST_P,
+            "later time": not self.later > 0.0,
+            "other record": self.other <= 0.0,
+        }
+        rows = tuple(name for name, is_short in short.items() if is_short)
+        return rows if rows or by_share or self.consistent else ("held-out blocks",)
+
 
 # Of what promised too little to be fitted.
 NOT_FITTED = Evidence(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)

@@ -15,7 +15,6 @@ import numpy as np
 from comparisons.missing_effect.candidates import LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
-from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_curves import contributions, model_document, records_document
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
@@ -415,7 +414,7 @@ class LagDiagnosis(Diagnosis):
             float(e.p_value),
             time_constant_s=float(c.fit.tau_s),
             parameters_added=int(c.fit.n_parameters - step.bench.fit.n_parameters),
-            refused_on=() if e.accepted else _refused_on(e),
+            refused_on=() if e.accepted else e.refused_on,
             share=float(e.share),
             least_share=float(e.least_share),
         )
@@ -431,24 +430,6 @@ def _untried(effect: Effect) -> CandidateRow:
 def _rank(candidate: LagCandidate) -> float:
     e = candidate.evidence
     return -float(e.score if math.isnan(e.share) else e.share)
-
-
-def _refused_on(e: Evidence) -> tuple[str, ...]:
-    if e.at_end:
-        return ("τ at the end of its search",)
-    by_share = not math.isnan(e.least_share)
-    rows = []
-    if by_share and not e.share >= e.least_share:
-        rows.append("share")
-    if not by_share and not e.p_value < LARGEST_P:
-        rows.append("fitted rows")
-    if not e.later > 0.0:
-        rows.append("later time")
-    if not math.isnan(e.other) and e.other <= 0.0:
-        rows.append("other record")
-    if not rows and not by_share and not e.z > LEAST_Z:
-        rows.append("held-out blocks")
-    return tuple(rows)
 
 
 def _some(value: object, names: Sequence[str]) -> dict[str, Any]:

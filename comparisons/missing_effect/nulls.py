@@ -21,9 +21,7 @@ LEAST_P = 0.002
 # missing. Complete models under strong coloured noise reach 6.5 (research on eleven systems).
 LARGEST_RATIO = 7.0
 # So many that one test can speak where the other says nothing.
-SHIFTS = 4000
-# A shift leaves at least this share of a run between an error and its own signals.
-LEAST_SHIFT = 0.1
+SURROGATES = 4000
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Leftover:
     flip_p : float
         Chance of the best first-order gain of all effects, by flips of sign of blocks of errors.
     foretold_p : float
-        Chance of how well signals foretell errors on held-out rows, by shifts in time.
+        Chance of how well signals foretell errors on held-out rows, by errors of random phases.
     foretold_share : float
         Share of the squared held-out errors that signals foretell beyond chance.
     ratio : float
@@ -70,7 +68,7 @@ def foretold(
     names: Sequence[str],
     rng: np.random.Generator,
 ) -> tuple[float, float, str]:
-    """Test whether signals foretell errors, against the same errors shifted in time.
+    """Test whether signals foretell errors, against errors of the same spectrum.
 
     Of each run there are one output's errors, and its inputs and simulated states. Returned are the
     chance of so much foretold, the share of the squared errors foretold beyond chance, and the
@@ -83,13 +81,11 @@ def foretold(
     if not basis.shape[1] or not total > 0.0:
         return 1.0, 0.0, ""
     found = float(np.sum((basis.T @ error) ** 2)) / total
-    n = error.size
-    least = max(1, int(LEAST_SHIFT * n))
-    shifts = rng.integers(least, n - least, size=SHIFTS)
-    by_chance = (
-        np.array([float(np.sum((basis.T @ np.roll(error, s)) ** 2)) for s in shifts]) / total
-    )
-    p = (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + SHIFTS)
+    spectrum = np.fft.rfft(error)
+    phases = rng.uniform(0.0, 2.0 * np.pi, (SURROGATES, spectrum.size))
+    surrogates = np.fft.irfft(spectrum * np.exp(1j * phases), error.size)
+    by_chance = np.sum((surrogates @ basis) ** 2, axis=1) / total
+    p = (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + SURROGATES)
     along = np.abs(features.T @ error) / np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]
 

@@ -56,6 +56,7 @@ _REFUSED = {
     "other record": "no gain on the other record",
     "held-out blocks": "gain not steady",
     "share": "explains too little",
+    "end of the search": "a number at its end",
 }
 
 

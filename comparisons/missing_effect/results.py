@@ -221,7 +221,7 @@ class CandidateRow:
     refused_on : tuple of str
         Rows on which it gains no more than chance: "fitted rows", "later time", "other record", or
         "held-out blocks" where too few of these gain; "share" where it explains too little of whole
-        runs; empty where it was accepted.
+        runs, "end of the search" where a number of it ran there; empty where it was accepted.
     share, least_share : float
         Share of the squared errors that it explains and what it had to explain, on whole runs;
         NaN elsewhere. Infinite where its number is within reach of the sensor chain itself.

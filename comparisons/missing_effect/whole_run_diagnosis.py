@@ -93,7 +93,7 @@ def diagnose_whole_runs(
         bench,
         rounds,
         sets,
-        "named" if line else otherwise,
+        ("named" if n_twins else "provisional") if line else otherwise,
         (NO_MEASURE,) if much else (),
         averaged_noise(readings),
     )
@@ -121,7 +121,7 @@ def diagnose_whole_runs(
         untold=untold,
         absent=tuple(one for one in absent if one.effect not in diagnosis.names),
     )
-    return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line)
+    return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line, bool(n_twins))
 
 
 def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
@@ -182,7 +182,7 @@ def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
     return max(lines, key=lambda line: line.height) if len(lines) == len(readings) else None
 
 
-def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis:
+def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None, twins: bool) -> LagDiagnosis:
     """Add the second pattern of cells, which the rake differences have taken off."""
     if line is None:
         return diagnosis
@@ -195,6 +195,7 @@ def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None) -> LagDiagnosis
             FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
         ),
         {"line_over_background": line.height},
+        () if twins else (NO_TWINS,),
     )
     return replace(diagnosis, missing=(found, *diagnosis.missing), ripple=line)
 

@@ -60,6 +60,7 @@ _ROWS = {
     "later time": "on later time",
     "other record": "on the other record",
     "held-out blocks": "in most held-out blocks",
+    "end of the search": "within the bounds of its numbers",
 }
 # Where an effect of a user's model acts, the most telling first.
 _PLACES = {
@@ -276,8 +277,8 @@ def _bound_words(d: Diagnosis) -> str:
     names = [row.name for row in d.parameters if row.at_bound]
     if not names:
         return ""
-    verb = "sits at its bound" if len(names) == 1 else "sit at their bounds"
-    return f"{', '.join(names)} {verb}: widen them or doubt the fit."
+    said = "sits at its bound: widen it" if len(names) == 1 else "sit at their bounds: widen them"
+    return f"{', '.join(names)} {said} or doubt the fit."
 
 
 def _refused_words(d: Diagnosis) -> str:

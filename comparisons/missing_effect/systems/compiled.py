@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from types import CellType, FunctionType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
-from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.model import Model, as_numbers
 from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at
 from surge_core.errors import InputError
 
@@ -83,18 +84,19 @@ def _cfunc(model: Model, part: str, user: Any) -> Any:
     given = [f"{name}_group({', '.join(fields)})" for name, fields in read.items()]
     lines = ["def wrapped(t, x, u, p, out):", f"    cells = carray(x, ({own},))"]
     lines.append(f"    found = user(t, {', '.join(given)})")
-    lines += _filling(user(0.0, *model.groups(*model.trial)))
-    if part == "rhs":
-        lines += [f"    out[{own + i}] = 0.0" for i in range(len(model.per_record))]
+    with np.errstate(all="ignore"):
+        tried = user(0.0, *model.groups(*model.trial))
+    lines += _filling(tried)
+    constant = len(model.per_record) if part == "rhs" else 0
+    lines += [f"    out[{own + i}] = 0.0" for i in range(constant)]
     # Only names that were checked to be identifiers reach this source, and none of them does:
     # fields are read by number.
     space: dict[str, Any] = {f"{name}_group": group for name, group in groups.items()}
     space["carray"] = carray
     try:
-        # As numpy does: a division by zero is an infinity that the integrator sees, no exception.
-        space["user"] = njit(error_model="numpy")(user)
+        space["user"] = _machine_code(user)
         exec("\n".join(lines), space)
-        return compiled_at(space["wrapped"])
+        return AtAddress(compiled_at(space["wrapped"]), len(as_numbers(tried)) + constant)
     except (NumbaError, TypeError, ValueError, NotImplementedError) as error:
         raise InputError(
             f"model: {part}",
@@ -102,6 +104,24 @@ def _cfunc(model: Model, part: str, user: Any) -> Any:
             found=_first_line(error),
             remedy="write it with numbers only, without objects or closures over arrays",
         ) from error
+
+
+def _machine_code(user: Any) -> Any:
+    """Compile a user's function, with the plain functions that it calls."""
+    # As numpy does: a division by zero is an infinity that the integrator sees, no exception.
+    compiler = njit(error_model="numpy")
+    if not isinstance(user, FunctionType):
+        return compiler(user)
+
+    def own(value: Any) -> Any:
+        plain = isinstance(value, FunctionType) and value is not user
+        return _machine_code(value) if plain else value
+
+    code, known = user.__code__, user.__globals__
+    called = {name: own(known[name]) for name in code.co_names if name in known}
+    cells = tuple(CellType(own(cell.cell_contents)) for cell in user.__closure__ or ())
+    known = {**known, **called}
+    return compiler(FunctionType(code, known, user.__name__, user.__defaults__, cells))
 
 
 def _filling(found: Any) -> list[str]:

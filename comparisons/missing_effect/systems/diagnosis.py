@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +38,7 @@ from comparisons.missing_effect.systems.quantities import (
     correlation_of,
     covariance,
     numbers_of,
+    widened,
 )
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
@@ -49,6 +50,10 @@ from surge_core.types import FloatArray
 MOST_EFFECTS = 4
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
+# Share of what was explained at which another explanation does as well.
+AS_MUCH = 0.8
+# Errors so many times what is new in each of them are no white noise.
+COLOURED = 2.0
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
 STILL_FORETOLD = "inputs and states still foretell the error that is left"
@@ -175,14 +180,15 @@ def _concluded(
     records = base.records
     before, before_cov, metric, beyond = _whole(base)
     after, after_cov = before, before_cov
+    asked = beyond if _as_good_wider(bench, before, beyond) else {}
+    if asked and all(e.effect.unnamed for e in bench.fit.structure.effects):
+        bench = base
     found = bench.fit.structure.effects
     checked: tuple[CheckRun, ...] = ()
     while effects := bench.fit.structure.effects:
         whole = _whole(bench)
         runs = (
-            ()
-            if whole[0].failed
-            else tuple(_checked(records, e, before, whole[0], refit=True) for e in checks)
+            () if whole[0].failed else tuple(_checked(records, e, before, whole[0]) for e in checks)
         )
         if not whole[0].failed and not any(map(_lost, runs)):
             after, after_cov, metric, beyond = whole
@@ -193,12 +199,16 @@ def _concluded(
         theta = np.delete(bench.fit.theta, structure.slots_of(last))
         bench = bench.refitted(structure.without(last), theta)
     else:
-        checked = tuple(_checked(records, e, before, before, refit=False) for e in checks)
+        checked = tuple(_checked(records, e, before, before) for e in checks)
     added = after.structure.effects
     keys, gone = {e.key for e in added}, found[len(added) :]
+    beyond = asked | beyond
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
-    missing = tuple(_found(after, after_cov, r, p, records, checked, beyond) for r, p in won)
+    noise = np.asarray(metric.sigma)
+    missing = tuple(
+        _found(after, after_cov, r, p, records, checked, beyond, left, noise) for r, p in won
+    )
     if left.structured:
         # A name beyond the first may stand in for what is left; so may the first, without a check
         # record to prove it.
@@ -239,7 +249,7 @@ def _concluded(
     )
 
 
-def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, tuple[str, ...]]:
+def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, dict[str, str]]:
     """Fit a model to all training rows, in the raw metric; and say which bounds are in the way."""
     structure = replace(bench.fit.structure, offsets_free=False)
     runs = runs_of(bench.records, bench.records.whole, structure.between, begun=True)
@@ -247,6 +257,15 @@ def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, tuple[str, ...]]:
     fit = replace(bench.fit, structure=structure).again(runs, raw)
     cov, beyond = covariance(fit, runs, raw), asked_beyond(fit, runs, raw)
     return fit, cov, raw if fit.failed else metric_of(fit.errors), beyond
+
+
+def _as_good_wider(bench: Bench, before: Fit, beyond: Collection[str]) -> bool:
+    """Tell whether wider bounds explain most of what the added effects do."""
+    if not (beyond and bench.fit.structure.effects):
+        return False
+    runs = runs_of(bench.records, bench.records.whole, before.structure.between, begun=True)
+    wide = widened(before, beyond).again(runs, raw_metric([run.outputs for run in runs]))
+    return before.cost - wide.cost > AS_MUCH * (before.cost - _whole(bench)[0].cost)
 
 
 def _lost(run: CheckRun) -> bool:
@@ -261,15 +280,17 @@ def _found(
     placed: Placed,
     records: Records,
     checks: Sequence[CheckRun],
-    beyond: Sequence[str],
+    beyond: Mapping[str, str],
+    left: Leftover,
+    noise: FloatArray,
 ) -> MissingEffect:
     winner = step.winner
     assert winner is not None
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = doubts_of(step, placed, numbers, checks, model)
-    doubts += tuple(f"the records ask for {bound}" for bound in beyond)
+    doubts = doubts_of(step, placed, numbers, checks, model, left, noise)
+    doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
@@ -314,12 +335,12 @@ def _badly_foretold(bench: Bench, checks: Sequence[CheckRun]) -> str:
     return ""
 
 
-def _beyond_words(beyond: Sequence[str]) -> list[str]:
+def _beyond_words(beyond: Mapping[str, str]) -> list[str]:
     if not beyond:
         return []
     return [
-        f"The records ask for {' and '.join(beyond)}: widen the bound, if the quantity allows it. "
-        "What is missing cannot be parted from what the bound brings about."
+        f"The records ask for {' and '.join(beyond.values())}: widen the bound, if the quantity "
+        "allows it. What is missing cannot be parted from what the bound brings about."
     ]
 
 
@@ -380,17 +401,20 @@ def _run(
     )
 
 
-def _checked(
-    records: Records, experiment: Experiment, before: Fit, after: Fit, refit: bool
-) -> CheckRun:
-    """Simulate a check record; its start comes from its first rows, which are not scored."""
+def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) -> CheckRun:
+    """Simulate a check record; its start comes from its first rows, which are not scored.
+
+    Beyond the noise, it is fitted as well: what that takes away no training record can know.
+    """
     simulated = []
     for fit in (before, after):
         run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
         there = settled(fit, [run], raw, rows=experiment.settle)
         simulated.append(there.paths[0].outputs)
-    if refit and not there.failed:
+    if not there.failed and np.any(
+        WORTH_SAYING * there.rms > np.asarray(metric_of(after.errors).sigma)
+    ):
         simulated.append(there.again([run], raw, most=REFIT_STEPS).paths[0].outputs)
     return _run(experiment, "check", records.model, simulated, settle=experiment.settle)
 
@@ -429,12 +453,18 @@ def _remarks(
         )
     if not base.fit.failed and not gone and (left.structured or left.disturbed):
         out.append(left_words(left, bool(missing)))
+    elif not missing and left.ratio > COLOURED:
+        out.append(
+            f"The error is {left.ratio:.1f} times what is new in each sample. Noise that goes on "
+            "from sample to sample does that, and so does a disturbance that no input shows: these "
+            "records do not tell which."
+        )
     if base.fit.failed:
         out.append(
             "The model could not be simulated from its starts, so that nothing can be said of what "
             "it lacks: give other starts or bounds."
         )
-    elif badly and not gone:
+    elif badly and not gone and not left.structured:
         out.append(
             f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
             "simulated, and nothing fitted explains it: what is missing acts there alone. Give "

@@ -30,6 +30,9 @@ from surge_core.types import FloatArray
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
 FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
+_NOT_REJECTED = "the record does not reject it"
+# A firm name leaves less than this share of an error that was more than so many times the noise.
+MOST_LEFT, BEYOND_NOISE = 0.5, 2.0
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -40,6 +43,8 @@ def doubts_of(
     numbers: Sequence[FittedParameter],
     checks: Sequence[CheckRun],
     model: Model,
+    left: Leftover,
+    noise: FloatArray,
 ) -> tuple[str, ...]:
     """Return why a name is not firm, or a term not to be relied on; empty where it is."""
     winner = step.winner
@@ -64,6 +69,14 @@ def doubts_of(
     if unknown:
         name = plain_name(plain[0].label(model))
         out.append(f"{' and '.join(unknown)} is not known: {name} would do")
+    before, after = (
+        np.reshape([getattr(run, name) for run in checks], (-1, noise.size))
+        for name in ("before_rms", "after_rms")
+    )
+    wide = before > BEYOND_NOISE * noise
+    stays = after > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise)
+    if wide.any() and stays[wide].all():
+        out.append("more than half of the error on check records stays")
     if step.rivalled:
         out.append("a term without a name explains more")
     elif _outfitted(step, winner):
@@ -77,10 +90,12 @@ def doubts_of(
             "those fitted"
         )
     rival = step.rival
-    if rival is not None and step.rival_p > REJECTED:
+    # A record rejects a rival where what stands in its place leaves nothing. Else neither is right.
+    if rival is not None and (step.rival_p > REJECTED or left.structured):
         share = 100.0 * rival.rank / winner.rank
         name = plain_name(label_of(rival.added, model))
-        out.append(f"{name} explains {share:.0f} % as much, and the record does not reject it")
+        rejected = "what is left speaks against both" if left.structured else _NOT_REJECTED
+        out.append(f"{name} explains {share:.0f} % as much, and {rejected}")
     return tuple(out)
 
 

@@ -97,7 +97,9 @@ class Metric:
 
 def correlations(errors: FloatArray) -> FloatArray:
     """Return the autocorrelation of each column of errors about its mean, from no lag on."""
-    columns = np.nan_to_num(errors - np.nanmean(errors, axis=0))
+    known = np.isfinite(errors)
+    mean = np.sum(errors, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
+    columns = np.where(known, errors - mean, 0.0)
     n = columns.shape[0]
     power = np.abs(np.fft.rfft(columns, 2 * n, axis=0)) ** 2
     size = np.maximum(np.sum(columns**2, axis=0), 1e-300)

@@ -7,7 +7,9 @@ import math
 import os
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import product
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
@@ -17,6 +19,8 @@ from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 
 BetweenSamples = Literal["auto", "held", "linear", "cubic", "band"]
+# What states and inputs may be, from a displacement to a temperature and a pressure.
+TRIED, DRAWS = (1.0, 0.1, 300.0, 1e5), 20
 
 
 @dataclass(frozen=True)
@@ -212,9 +216,17 @@ class Model(Displayed):
 
     @property
     def trial(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-        """States, inputs and parameters at which its functions are tried."""
-        starts = tuple(float(p.start) for p in self.params.values())
-        return (0.1,) * len(self.states), (0.1,) * len(self.inputs), starts
+        """States, inputs and parameters at which its functions are tried, and give numbers."""
+        n, starts = len(self.states), tuple(float(p.start) for p in self.params.values())
+        # Apart from each other, in any order: roots and logarithms of differences are usual.
+        rng = np.random.default_rng(0)
+        for size, _ in product(TRIED, range(DRAWS)):
+            values = (size * rng.uniform(0.5, 1.5, n + len(self.inputs))).tolist()
+            point = tuple(values[:n]), tuple(values[n:]), starts
+            with suppress(ArithmeticError, ValueError):
+                self.evaluate(0.0, *point)
+                return point
+        return point
 
     def with_record_parameters(self) -> Model:
         """Return the model whose parameters of records are states that stay as they start.
@@ -240,8 +252,9 @@ class Model(Displayed):
         assert self.rhs is not None
         assert self.output is not None
         given = self.groups(x, u, p)
-        dx = as_numbers(self.rhs(t, *given))
-        return (*dx, *(0.0,) * len(self.per_record)), as_numbers(self.output(t, *given))
+        with np.errstate(all="ignore"):
+            dx, y = as_numbers(self.rhs(t, *given)), as_numbers(self.output(t, *given))
+        return (*dx, *(0.0,) * len(self.per_record)), y
 
     @property
     def state_groups(self) -> dict[str, slice | int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +25,8 @@ SANDWICH_BLOCKS = 40
 # Share of a parameter's range that counts as at its bound, and standard errors beyond it that say
 # that the records want it wider.
 AT_BOUND, BEYOND = 1e-4, 3.0
+# How much wider a bound is made that stands in the way.
+WIDER = 10.0
 # Powers of the scales in which the numbers of an effect are given, slot by slot: of dx/dt that it
 # enters, of its own signal, of a second signal or a time, of the sample period, of half the span.
 ACTS_IN, ENTERS = (Kind.TERM, Kind.HYSTERESIS), {"into": 1, "second": -1}
@@ -65,8 +67,8 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     return whole
 
 
-def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ...]:
-    """Return the parameters at a bound beyond which the runs ask for more, and that bound.
+def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> dict[str, str]:
+    """Return the parameters at a bound beyond which the runs ask for more, and that in words.
 
     The slopes of the errors ask for a step across it of more than three standard errors. Those of
     each record's own are not looked at.
@@ -75,7 +77,7 @@ def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ..
     room = [min(p.high - v, v - p.low) for p, v in zip(params.values(), fit.theta, strict=False)]
     near = [r < AT_BOUND * (p.high - p.low) for r, p in zip(room, params.values(), strict=True)]
     if fit.failed or not any(near):
-        return ()
+        return {}
     which = fit.structure.free
     normal, scores = _slopes(fit, runs, metric, which)
     # What the bound brings about is no scatter.
@@ -85,7 +87,7 @@ def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ..
         own = slice(which.size + n_x * r, which.size + n_x * (r + 1))
         slope[own] -= (start[:n_x] - run.x0_mean) / run.x0_sd**2
     step = np.linalg.lstsq(normal, slope, rcond=None)[0]
-    out = []
+    out = {}
     for i, (name, p) in enumerate(params.items()):
         column = np.flatnonzero(which == i)
         if not near[i] or not column.size or blind[column[0]]:
@@ -95,8 +97,23 @@ def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> tuple[str, ..
         if (asked if high else -asked) > BEYOND:
             unit = "" if p.unit == "1" else f" {p.unit}"
             bound = f"above its bound of {p.high:g}" if high else f"below its bound of {p.low:g}"
-            out.append(f"{name} {bound}{unit}".rstrip())
-    return tuple(out)
+            out[name] = f"{name} {bound}{unit}".rstrip()
+    return out
+
+
+def widened(fit: Fit, names: Collection[str]) -> Fit:
+    """Return a fit with the bounds of these parameters ten times wider, on their side of zero."""
+    model = fit.structure.model
+    params = {
+        name: replace(p, low=_further(p.low, -1), high=_further(p.high, 1)) if name in names else p
+        for name, p in model.params.items()
+    }
+    return replace(fit, structure=replace(fit.structure, model=replace(model, params=params)))
+
+
+def _further(bound: float, side: int) -> float:
+    """Return a bound ten times as far out; zero, which says what is physical, stays."""
+    return bound * WIDER ** (side if bound > 0.0 else -side)
 
 
 def _slopes(

@@ -159,14 +159,18 @@ def _known_start(
                 mean[j], sd[j] = value[1] / factor, spread[1] / abs(factor)
     for i, name in enumerate(model.state_names):
         start = model.x0.get(name)
-        if start == "first" or (i in measured and not begun):
+        if start == "first" or (i in measured and (start is None or not begun)):
             if not np.isfinite(sd[i]):
-                values = experiment.channels[measured.get(i, name)]
-                mean[i] = values[np.isfinite(values)][0]
+                mean[i] = _first_reading(experiment, measured.get(i, name))
         elif start is not None:
             mean[i], known = start if isinstance(start, tuple) else (start, np.inf)
             sd[i] = known if begun else sd[i]
     return mean, sd
+
+
+def _first_reading(experiment: Experiment, name: str) -> float:
+    values = experiment.channels[name]
+    return float(values[np.isfinite(values)][0])
 
 
 def _first_rows(experiment: Experiment, name: str) -> tuple[FloatArray, FloatArray]:

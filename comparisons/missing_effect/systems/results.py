@@ -165,6 +165,7 @@ class SystemDiagnosis(Diagnosis):
             held_out_z=float(e.z),
             p_value=float(e.p_value),
             promised=float(c.promised),
+            refused_on=() if c.accepted or not c.fitted else e.refused_on,
         )
 
     def _fate(self, step: ModelRound, c: ModelCandidate) -> str:

@@ -8,6 +8,7 @@ from itertools import permutations
 
 import numpy as np
 
+from comparisons.missing_effect.systems.compiled import compiled
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Place
 from surge_core.types import FloatArray
@@ -66,12 +67,12 @@ def stored_from(model: Model) -> dict[tuple[int, int], int]:
         return {}
     n, rng, found = len(model.states), np.random.default_rng(1), []
     for p in (_middle(model, 0), _middle(model, 1)):
-        x, u = rng.uniform(0.1, 1.0, n), tuple(rng.uniform(0.1, 1.0, len(model.inputs)).tolist())
+        x, u = _drawn(model, rng)
+        step, rhs = 1e-6 * x.max(), compiled(model)[0]
         above, below = (
-            np.array([model.evaluate(0.3, tuple(row), u, p)[0] for row in x + by * np.eye(n)])
-            for by in (1e-6, -1e-6)
+            np.array([rhs(0.3, row, u, p) for row in x + by * np.eye(n)]) for by in (step, -step)
         )
-        slopes = ((above - below) / 2e-6).T
+        slopes = ((above - below) / (2.0 * step)).T
         acts = np.abs(slopes) > DEPENDS * np.max(np.abs(slopes), axis=1, keepdims=True)
         # A state that matters to its own slope is no integral of any.
         found.append(np.sign(slopes) * (acts & ~np.diag(acts)[:, None]))
@@ -101,12 +102,19 @@ def _tries(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the model at a few points: states, their slopes, outputs."""
     rng, p, out = np.random.default_rng(seed + 10), _middle(model, seed), []
+    rhs, output = compiled(model)
     for _ in range(TRIES):
-        x = tuple(rng.uniform(0.1, 1.0, len(model.states)).tolist())
-        u = rng.uniform(0.1, 1.0, len(model.inputs)) * driven
-        out.append((x, *model.evaluate(0.3, x, tuple(u.tolist()), p)))
+        x, u = _drawn(model, rng)
+        out.append((x, *(function(0.3, x, u * driven, p) for function in (rhs, output))))
     states, slopes, outputs = map(np.array, zip(*out, strict=True))
     return states, slopes, outputs
+
+
+def _drawn(model: Model, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Draw states and inputs of the size at which the model gives numbers."""
+    size = max((*model.trial[0], *model.trial[1]))
+    x, u = (size * rng.uniform(0.1, 1.0, len(each)) for each in (model.states, model.inputs))
+    return x, u
 
 
 def physical(model: Model) -> tuple[int, ...]:
