@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from made_diagnosis import VERDICTS, made_diagnosis
 from made_pages import EVIL
-from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.quantities import plain_name
 from surge_core.rounding import bracketed
@@ -37,18 +36,3 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
     assert bracketed(d.tau_after_s, d.tau_stderr_s) in text
     for item in d.missing:
         assert " or ".join(map(plain_name, item.alias_labels[:2])) in text
-
-
-@pytest.mark.parametrize("nothing", [True, False])
-def test_a_diagnosis_of_a_users_model_shows_every_record(nothing: bool) -> None:
-    d = made_system(name=EVIL, runs={f"a{EVIL}": "training", "b": "check"}, nothing=nothing)
-    d = replace(d, remarks=(EVIL,))
-    text, html = shown(d)
-    assert d.verdict.replace("_", " ") in text.splitlines()[0]
-    for run in d.runs:
-        assert run.name in text
-        assert f"{run.scored} {run.kind}" in text
-    for item in d.missing:
-        assert item.equation in text
-    assert ("before" in html) == (not nothing)
-    assert "at its bound" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,18 @@ def slow_signal(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.asarray(made / np.std(made))
 
 
-def oscillator(seed: int, n: int, hidden: float, colour: str = "white") -> Experiment:
-    """x'' = u − 0.3 x' − x + hidden·x²·x', read with 1 % of noise; Runge–Kutta of its own."""
+def oscillator(
+    seed: int, n: int, hidden: float, colour: str = "white", slew: float = np.inf
+) -> Experiment:
+    """x'' = u − 0.3 x' − x + hidden·x²·x', read with 1 % of noise; Runge–Kutta of its own.
+
+    The drive of u is no faster than ``slew``.
+    """
     rng = np.random.default_rng(seed)
-    u = 1.5 * slow_signal(rng, n)
+    asked = 1.5 * slow_signal(rng, n)
+    u = asked.copy()
+    for k in range(1, n):
+        u[k] = u[k - 1] + np.clip(asked[k] - u[k - 1], -slew * PERIOD_S, slew * PERIOD_S)
     state, x = np.zeros(2), np.empty(n)
     for k in range(n):
         x[k] = state[0]
@@ -48,7 +57,7 @@ def oscillator(seed: int, n: int, hidden: float, colour: str = "white") -> Exper
             d = rate(state + h * c, at[2])
             state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
     noise = rng.standard_normal(n) if colour == "white" else slow_signal(rng, n)
-    return Experiment(f"run {seed}", PERIOD_S, {"u": u, "y": x + 0.01 * np.std(x) * noise})
+    return Experiment(f"run {seed}", PERIOD_S, {"u": asked, "y": x + 0.01 * np.std(x) * noise})
 
 
 LINEAR = Model(
@@ -81,15 +90,33 @@ def test_noise_as_slow_as_the_system_itself_gets_no_name() -> None:
     assert diagnose_model(LINEAR, oscillator(43, 1200, 0.0, "slow")).missing == ()
 
 
-def test_chance_of_what_is_foretold_is_chance() -> None:
-    """Errors that have nothing to do with slow signals are called foretold as often as stated."""
-    p = []
+def test_a_bound_in_the_way_is_no_missing_effect() -> None:
+    """The model is complete, but the true stiffness is beyond the user's bound."""
+    tight = {**LINEAR.params, "k": P(0.5, 0.1, 0.9, "1/s^2")}
+    found = diagnose_model(replace(LINEAR, params=tight), oscillator(44, 1200, 0.0))
+    assert (firm(found), found.verdict) == ([], "unexplained_structure")
+    assert "k above its bound of 0.9" in " ".join(found.remarks)
+
+
+def test_a_drive_that_slews_is_no_firm_lag() -> None:
+    """No name of the catalogue is a limit of a rate, and what comes nearest stays in doubt."""
+    runs = [oscillator(seed, n, 0.0, slew=0.8) for seed, n in ((45, 1200), (95, 600))]
+    found = diagnose_model(LINEAR, *runs)
+    assert (firm(found), found.verdict == "nothing_missing") == ([], False)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
+    """Errors that have nothing to do with the signals are called foretold as often as stated."""
+    p, cycle = [], np.sin(2.0 * np.pi * np.arange(600)[:, None] / 97.0 + [0.0, 1.2, 2.0])
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        signals = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
-        p.append(foretold([slow_signal(rng, 600)], [signals], ("a", "b", "c"), rng)[0])
-    # 60 uniform numbers: 6 are expected below 0.1, sd 2.3.
+        slow = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
+        given = np.exp(cycle) if periodic else slow
+        p.append(foretold([slow_signal(rng, 600)], [given], ("a", "b", "c"), rng)[0])
+    # 60 uniform numbers: 6 are expected below 0.1, sd 2.3, and 0.06 below 0.001.
     assert np.count_nonzero(np.array(p) < 0.1) <= 13
+    assert np.count_nonzero(np.array(p) < 0.001) <= 1
 
 
 def test_errors_that_follow_a_product_are_foretold() -> None:
