@@ -215,7 +215,9 @@ def _concluded(
         sure = 1 if checks else 0
         later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[sure:]]
         missing = (*missing[:sure], *later)
-    badly = "" if missing or base.fit.failed else _badly_foretold(base, checked)
+    # What acts in the training rows as well does not act in a check record alone.
+    apart = () if left.structured else checked
+    badly = "" if missing or base.fit.failed else _badly_foretold(base, apart)
     open_ = not missing and (
         base.fit.failed
         or bool(gone)
@@ -464,7 +466,7 @@ def _remarks(
             "The model could not be simulated from its starts, so that nothing can be said of what "
             "it lacks: give other starts or bounds."
         )
-    elif badly and not gone and not left.structured:
+    elif badly and not gone:
         out.append(
             f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
             "simulated, and nothing fitted explains it: what is missing acts there alone. Give "
