@@ -157,7 +157,8 @@ def analyse(
             refusals["work"] = f"ψ_QS and its τ are not stated: {why}"
     missing = missing_words(diagnosis) if diagnosis else f"not known: {refusals['diagnose']}"
     chosen = comparison.recommended and comparison.first.model.ci95_s
-    if chosen and diagnosis and not chosen[0] <= diagnosis.tau_after_s <= chosen[1]:
+    named = diagnosis is not None and diagnosis.tau_said[1] in missing
+    if chosen and diagnosis and named and not chosen[0] <= diagnosis.tau_after_s <= chosen[1]:
         missing += " The τ named here is that of the diagnosis's own fit, not the one to quote."
     answer = answer_of(
         comparison,
