@@ -19,6 +19,7 @@ from classic_ml.description import (
 )
 from classic_ml.inspect.facts import ChannelFacts, ClockFacts, Inspection
 from classic_ml.io.description_file import Plane, TestTable
+from classic_ml.series import CLOCK_TOLERANCE
 from classic_ml.units import COUNT, kind_of_unit, split_reference
 from surge_core.models import Table
 
@@ -126,6 +127,8 @@ def _layout(clock: ClockFacts | None, group: str | None, has_others: bool) -> It
     else:
         yield f"time = {_text(clock.name)}"
         yield f"time_unit = {_text(clock.unit)}"
+        if clock.jitter > CLOCK_TOLERANCE and "gap" not in clock.troubles:
+            yield 'clock = "from rate"'
     if has_others:
         yield 'other_columns = "ignore"'
 

@@ -20,6 +20,7 @@ from classic_ml.io.raw import MOST_VALUES, read_raw
 from classic_ml.io.table import StoredTable
 from classic_ml.records import LedgerEntry
 from classic_ml.reduction import reduce_record
+from classic_ml.series import jittering_period_s
 from classic_ml.units import conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -126,7 +127,7 @@ def _match(channel: AnyChannel, test: TestDescription, inspection: Inspection) -
 
 # How the name of a clock begins, in small letters.
 CLOCK_NAMES = ("time", "elapsed time")
-# A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
+# A step this much longer than the usual one is a gap, unless the clock alone is uneven.
 GAP_STEPS = 1.5
 # A surge cycle lasts from a tenth of a second to some seconds: sections in which it shows, and
 # quiet ones between two cycles that do not end it.
@@ -194,7 +195,8 @@ class ClockFacts:
     first_s, last_s : float
         Its ends.
     rate_hz : float
-        Rows a second, over the steps that are neither gaps nor back; NaN without any.
+        Rows a second: by a line through all times, or where rows are missing over the steps that
+        are neither gaps nor back; NaN without any.
     jitter : float
         The largest deviation of these from the usual step, in steps.
     troubles : mapping of str to (int, int)
@@ -318,16 +320,19 @@ def _usual(time_s: FloatArray) -> float:
 
 def _clock_facts(name: str, unit: str, time_s: FloatArray) -> ClockFacts:
     # What is no number makes no step.
-    steps, usual_s = np.diff(time_s), _usual(time_s)
-    is_gap = steps > GAP_STEPS * usual_s
+    steps, even_s = np.diff(time_s), jittering_period_s(time_s)
+    usual_s = even_s if np.isfinite(even_s) else _usual(time_s)
+    is_gap = (steps > GAP_STEPS * usual_s) & ~np.isfinite(even_s)
     kinds = {"gap": is_gap, "repeat": steps == 0.0, "step back": steps < 0.0}
     good = steps[(steps > 0.0) & ~is_gap]
+    # What is cut off above is cut off below: the mean of jittering steps stays where it is.
+    even = good[good > (2.0 - GAP_STEPS) * usual_s]
     return ClockFacts(
         name,
         unit,
         float(time_s[0]),
         float(time_s[-1]),
-        good.size / float(np.sum(good)) if good.size else np.nan,
+        1.0 / (even_s if np.isfinite(even_s) else float(np.mean(even)) if even.size else np.nan),
         float(np.max(np.abs(good - usual_s) / usual_s, initial=0.0)),
         {
             kind: (int(np.count_nonzero(where)), int(np.argmax(where)) + 2)

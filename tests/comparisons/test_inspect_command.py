@@ -69,10 +69,6 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
     assert facts["codes"].plateaus == ("maximum",)
     assert facts["codes"].whole_numbers
     assert facts["stuck"].longest_run == 40
-    clock = found.clock
-    assert clock is not None
-    assert clock.rate_hz == pytest.approx(500.0)
-    assert clock.troubles == {}
 
 
 def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) -> None:
@@ -88,6 +84,19 @@ def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) 
     assert clock.troubles == {"gap": (2, 101), "repeat": (1, 302), "step back": (2, 1202)}
     assert clock.jitter == pytest.approx(0.1, rel=1e-6)
     assert clock.rate_hz == pytest.approx(500.0, rel=1e-3)
+
+
+def test_a_clock_that_jitters_is_drafted_as_it_can_be_read(made: RawTest, tmp_path: Path) -> None:
+    rng, columns = np.random.default_rng(0), dict(made.columns)
+    columns["time_s"] = columns["time_s"] + 2e-4 * rng.standard_normal(501)
+    draft = tomllib.loads(draft_test_toml(inspected(tmp_path, columns)))
+    assert draft["test"]["sample_rate_hz"] == pytest.approx(1000.0, rel=3e-4)
+    toml = tmp_path / "test.toml"
+    toml.write_text(to_toml(made.description), "utf-8")
+    with pytest.raises(InputError, match=r'no row is missing.*clock = "from rate"'):
+        read_raw(tmp_path / "raw.csv", toml)
+    toml.write_text(to_toml({**made.description, "file": draft["file"]}), "utf-8")
+    assert read_raw(tmp_path / "raw.csv", toml)[0].n_samples == 501
 
 
 def test_a_file_that_is_looked_through_in_pieces_is_found_the_same(
@@ -194,7 +203,6 @@ def test_the_draft_filled_in_is_the_description_of_the_test(
     code, out, _ = run(capsys, raw, "--draft", draft)
     assert code == 0
     assert f"draft: {draft}" in out
-    tomllib.loads(draft.read_text("utf-8"))
     draft.write_text(filled_in(draft.read_text("utf-8"), made), "utf-8")
     found, expected = read_test_description(draft), read_test_description(toml)
     assert {c.name: c for c in found.pressures} == {c.name: c for c in expected.pressures}
