@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from classic_ml.calibration import near_stall_rows
-from classic_ml.description import TestDescription
+from classic_ml.description import CountChannel, TestDescription
 from classic_ml.faults.search import BEYOND_LIMITS, CLIPPED, MARK_WORDS, SPIKED, STUCK, alike
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name
@@ -162,7 +162,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         couples = test.thermocouples(plane)
         out = [c.name for c in couples if c.name in bad]
         if plane == 25 and len(out) == len(couples):
-            raise _refusal(record, bad[out[0]], "the last thermocouple of plane 25")
+            raise _refusal(record, test, bad[out[0]], "the last thermocouple of plane 25")
         dropped += [bad[name] for name in out]
         gone += out
         if couples and len(out) == len(couples):
@@ -246,18 +246,25 @@ def _drop_pairs(
             beside = (p for p in pairs if p.immersion == pair.immersion)
             if all(verdicts[p.name] is not None for p in beside):
                 last = f"the last {pair.immersion} pair of plane {plane}"
-                raise _refusal(record, verdict, last)
+                raise _refusal(record, test, verdict, last)
             gone += [pair.forward.name, pair.aft.name]
             why = f"{verdict.what} is {verdict.why}"
             dropped.append(Dropped(f"pair {pair.name}", verdict.count, why))
     return dropped, gone
 
 
-def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
+def _refusal(record: Record, test: TestDescription, verdict: Dropped, last: str) -> InputError:
+    channel = next(each for each in test.channels if each.name == verdict.what)
+    scale = "unit (psia or psig?), reference_Pa" if channel.kind == "pressure" else "unit"
+    if isinstance(channel, CountChannel):
+        scale = "zero and calibrate readings"
+    # What is cut off, stuck or spiked is so on any scale.
+    fault = tuple(word for kind, word in MARK_WORDS.items() if kind != BEYOND_LIMITS)
+    asked = "" if verdict.why.startswith(fault) else f"are its {scale} and [limits] right? else "
     return InputError(
         f"{record.source}: channel {verdict.what}",
         expected=f"readings that count, since {last} goes with it",
         found=f"it {verdict.why}",
-        remedy="are its unit (psia or psig?), reference_Pa and [limits] right? else choose a "
-        "window without the fault, or widen the range of the transducer",
+        remedy=f"{asked}choose a window with less of it ({CLIPPED_SHARE:.0%} of the rows may be "
+        "clipped), or widen the range of the transducer",
     )
