@@ -166,7 +166,17 @@ def _not_believed(comparison: Comparison) -> str:
         why = "it is not two standard errors above zero"
     else:
         why = "the records are no clean whole runs with hub and tip read apart"
-    return f"Believe no τ: {why}."
+    return f"Believe no τ: {why}.{_doubted_probes(comparison)}"
+
+
+def _doubted_probes(comparison: Comparison) -> str:
+    """Say what the reductions noted of probes that do not go with those beside them."""
+    entries = [entry for record in comparison.records for entry in record.history]
+    noted = [text for entry in entries if entry.step == "choose channels" for text in entry.flags]
+    if not noted:
+        return ""
+    # What stands last is the plainest: the levels of two probes.
+    return f" The reduction noted: {noted[-1]}" + "." * (not noted[-1].endswith("?"))
 
 
 def _others(

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from commands import refused
 from comparison_data import made_comparison
 from raw_data import make_test
 
+from classic_ml.records import LedgerEntry
 from comparisons.cli import main
 from comparisons.harness.answer import TauReading, _others, answer_of
 from comparisons.rig import simulate, write_run
@@ -88,10 +90,12 @@ def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
 
 def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() -> None:
     comparison = made_comparison()
-    answer = answer_of(dataclasses.replace(comparison, quotable=()), test="x")
+    entry = LedgerEntry("choose channels", "", flags=("P25_A has drifted",))
+    noted = tuple(dataclasses.replace(each, history=(entry,)) for each in comparison.records)
+    answer = answer_of(dataclasses.replace(comparison, records=noted, quotable=()), test="x")
     assert math.isnan(answer.time_constant_s)
     assert answer.estimator == ""
-    assert "`sindy-surge reduce`" in answer.why
+    assert re.search("`sindy-surge reduce`.* P25_A has drifted\\.$", answer.why)
     assert "none to quote" in str(answer)
     assert answer.curve is None
     assert answer.curve_words == "none to read"
