@@ -90,6 +90,9 @@ def near_stall_rows(record: Record, test: TestDescription) -> slice:
             expected=f"an interval with at least {MINIMUM_NEAR_STALL_ROWS} rows of the record "
             f"({first_s:.3f} to {last_s:.3f} s)",
             found=f"{reading.from_s:g} to {reading.to_s:g} s with {n_rows}",
+            remedy="name its times by the clock of the record, which does not begin at 0"
+            if reading.to_s < first_s
+            else "",
         )
     return rows
 

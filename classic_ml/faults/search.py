@@ -22,7 +22,7 @@ from classic_ml.description import (
 )
 from classic_ml.faults.plateaus import check_held, range_ends
 from classic_ml.intervals import equal_runs
-from classic_ml.records import Channel, LedgerEntry, Record, fault_name
+from classic_ml.records import Channel, LedgerEntry, Record, counted, fault_name
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # A spike is one row or two wide, and is compared with what its channel does for 25 rows on either
@@ -173,7 +173,8 @@ def _marked(record: Record, name: str, mark: Marks) -> list[str]:
         rows = np.flatnonzero(mark & kind)
         if rows.size:
             first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
-            found.append(f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s")
+            n_rows = counted(rows.size, "row")
+            found.append(f"{name}: {n_rows} {word}, {first_s:.3f} to {last_s:.3f} s")
     return found
 
 

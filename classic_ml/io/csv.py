@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from classic_ml.description import FileLayout
-from classic_ml.io.table import Columns, StoredTable
+from classic_ml.io.table import NOT_FINITE_REMEDY, Columns, StoredTable
 from classic_ml.units import kind_of_unit
 from surge_core.errors import InputError
 
@@ -169,8 +169,8 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                     str(file),
                     expected=f"{len(found.names)} values in every row",
                     found=f"{len(cells)} in row {row}",
-                    remedy="the file was cut short or edited there, or has decimal commas between "
-                    "commas",
+                    remedy="the file was cut short or edited there, has decimal commas between "
+                    "commas, or lines above its header: take these away",
                 )
             for name, cell in zip(found.names, cells, strict=True):
                 is_truth = name in found.truths and cell.lower() in TRUTHS
@@ -179,7 +179,7 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                         f"{file}: column {name}",
                         expected="a finite number in every row",
                         found=f"{cell!r} in row {row}" if cell else f"an empty cell in row {row}",
-                        remedy="cut the record there or repair the channel"
+                        remedy=NOT_FINITE_REMEDY
                         + (
                             "; save it with points in all numbers and nothing between thousands"
                             if any(sign.isdigit() for sign in cell)

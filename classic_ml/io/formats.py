@@ -52,5 +52,8 @@ def open_stored(
             return
     known = " or ".join(suffix for _, suffixes in _FORMATS.values() for suffix in suffixes)
     raise InputError(
-        str(file), expected=f"a raw record ending in {known}", found=f"the suffix '{file.suffix}'"
+        str(file),
+        expected=f"a raw record ending in {known}",
+        found=f"the suffix '{file.suffix}'",
+        remedy="export it as .csv; a table of text with a header needs that name alone",
     )

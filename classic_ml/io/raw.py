@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
-from classic_ml.io.table import StoredTable
+from classic_ml.io.table import NOT_FINITE_REMEDY, StoredTable
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.series import CLOCK_TOLERANCE, MINIMUM_ROWS, uniform_period_s
 from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
@@ -128,6 +128,8 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
         remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
         if titles[missing[0]].startswith("column"):
             remedy = 'name it in [file], time = "...", or write clock = "from rate"'
+        if len(missing) == len(titles):
+            remedy += "; if lines stand above the header, take these away"
         raise InputError(
             f"{stored.source}: {titles[missing[0]]}",
             expected=f"it in the header of the table, as {test.source} describes it",
@@ -309,5 +311,5 @@ def _check_readings(
         f"{stored.source}: {title}",
         expected=possible if finite.all() else "a finite number in every row",
         found=f"{values[row]:g}{unit} in row {rows_before + row + 1}",
-        remedy=remedy if finite.all() else "cut the record there or repair the channel",
+        remedy=remedy if finite.all() else NOT_FINITE_REMEDY,
     )

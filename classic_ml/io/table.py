@@ -17,6 +17,10 @@ from surge_core.errors import InputError
 BLOCK_ROWS = 1 << 18
 # What states the unit of a column, in small letters, in the order in which they are believed.
 UNIT_NAMES = ("unit_string", "units", "unit", "ni_unitdescription", "engineering_units")
+NOT_FINITE_REMEDY = (
+    "cut the record there, repair the channel, or leave a probe and its mate out of test.toml, "
+    'with other_columns = "ignore" in [file]'
+)
 # How many groups a sentence names.
 NAMED = 6
 

@@ -95,7 +95,6 @@ def test_a_bad_table_is_refused(
     ("content", "words"),
     [
         (lambda text: b"", "an empty file"),
-        (lambda text: b"\n\n\n", "an empty file"),
         (lambda text: bytes(range(256)) * 40, "binary data|an empty file"),
         (lambda text: text.encode()[:9000] + b"\x00\xff\xfe\x80" * 90, "binary data"),
         (lambda t: t.replace("\n", ",1.0\n").replace(",1.0\n", "\n", 1).encode(), "found 22 in"),
@@ -106,6 +105,7 @@ def test_a_bad_table_is_refused(
             "an empty cell in row 12",
         ),
         (lambda t: t.replace("T25_A", "").encode(), "under a name, found one without"),
+        (lambda t: f"cell 7; run 12\n\n{t}".encode(), "above the header"),
     ],
 )
 def test_a_spoiled_file_is_refused(
