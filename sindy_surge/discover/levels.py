@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -88,13 +89,22 @@ def _searched(
         return [short], Tried((), np.inf, fit, "")
     linear = short.likelihood.regression(fit)
     by = type(optimizer).__name__
-    chosen, promising = _proposals(linear, equations, price, optimizer)
+    chosen, promising, *shorter = _proposals(linear, equations, price, optimizer)
     if not full:
         whole = Level(problem.cut(None), equations, price)
         return [whole], whole.try_support(chosen, fit, by)
     tries = [short.try_support(chosen, fit, by)]
     tries.append(short.try_support(promising, fit, "regression"))
     best = min(tries, key=lambda t: t.score)
+    # On a circle x² + y² is constant: sums of a term and its products with that run away, and the
+    # term alone does not. It counts if it does better than the whole library, which a ridge held.
+    whole_score = fit.chi2 + price * linear.columns.shape[1]
+    for support in shorter if not np.isfinite(best.score) else ():
+        trial = short.try_support(support, fit, "regression")
+        if trial.score < whole_score:
+            best = trial
+            break
+        short.tried[trial.support] = replace(trial, score=np.inf)
     levels = [short]
     if not np.isfinite(best.score):
         return levels, best
@@ -134,19 +144,23 @@ def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
 
 def _proposals(
     linear: LinearProblem, equations: Sequence[Support], price: float, optimizer: Any
-) -> tuple[list[int], list[int]]:
+) -> list[list[int]]:
     """Return what the optimizer chooses, and the best by the regression, each by equation.
 
-    For one equation all terms of the others are left free.
+    The best of any length comes first, then those of ever fewer terms an equation. For one equation
+    all terms of the others are left free.
     """
-    chosen, promising = [], []
+    chosen, best = [], []
     for own in equations:
         others = [i for each in equations if each is not own for i in each]
         rest = linear.beside(others, own)
         chosen += [own[i] for i in chosen_support(rest, optimizer)]
-        ranked = best_of_equation(rest, tuple(range(len(own))), (), price)
-        promising += [own[i] for i in min(ranked)[1]]
-    return chosen, promising
+        ranked = sorted(best_of_equation(rest, tuple(range(len(own))), (), price))
+        best.append([[own[i] for i in support] for _, support in ranked])
+    longest = max(len(each[0]) for each in best)
+    lengths = (longest, *range(longest - 1, 0, -1))
+    ladder = [[next(s for s in each if len(s) <= most) for each in best] for most in lengths]
+    return [chosen, *(list(chain(*supports)) for supports in ladder)]
 
 
 def _with_inputs(
