@@ -146,7 +146,7 @@ class SparseDynamics(BaseEstimator):
                 found=f"{self.differentiation!r}",
                 remedy="pass SmoothedFiniteDifference(), for one",
             )
-        data = Trajectories.of(x, t, u)
+        data = Trajectories.of(x, t, u, feature_names)
         _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names)
         given = [self.state_names_.index(name) for name in self._known]

@@ -144,7 +144,7 @@ class Trajectories:
     held: BoolArray
 
     @classmethod
-    def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
+    def of(cls, x: Any, t: Any, u: Any = None, names: Any = None) -> Trajectories:
         """Read what a user passes, arrays or lists of arrays and times or a step, or refuse it."""
         xs = listed("x", x)
         # As many numbers as trajectories, which are longer, are a step each.
@@ -154,6 +154,7 @@ class Trajectories:
         _same("u", len(us), len(xs), "trajectories")
         _same("t", len(ts), len(xs), "trajectories")
         times = []
+        first: dict[bytes, int] = {}
         for number, (states, inputs, each) in enumerate(zip(xs, us, ts, strict=True)):
             _same(f"u of trajectory {number}", len(inputs), len(states), "rows")
             _same(f"x of trajectory {number}", states.shape[1], xs[0].shape[1], "states")
@@ -165,7 +166,15 @@ class Trajectories:
                     found=str(len(states)),
                     remedy="take a longer record",
                 )
-            _no_spikes(f"x of trajectory {number}", states)
+            # The same noise twice is no more evidence, but would count as such.
+            if (same := first.setdefault(states.tobytes(), number)) != number:
+                raise InputError(
+                    f"x of trajectory {number}",
+                    expected="readings of its own",
+                    found=f"those of trajectory {same} again",
+                    remedy="give each record once",
+                )
+            _no_spikes(f"x of trajectory {number}", states, names)
         run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
         runs = Segments.from_labels(run, run.size)
         inputs = np.concatenate(us)
@@ -271,7 +280,7 @@ def listed(name: str, values: Any) -> list[FloatArray]:
     return [np.reshape(each, (len(each), -1)) for each in arrays]
 
 
-def _no_spikes(name: str, x: FloatArray) -> None:
+def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
     """Refuse a single reading far from both its neighbours, where these go on past it.
 
     By second differences, of which a spike leaves -1/2, 1, -1/2; a kink or a jump leaves others.
@@ -290,10 +299,11 @@ def _no_spikes(name: str, x: FloatArray) -> None:
     if rows.size:
         row, column = int(rows[0]) + 2, int(columns[0])
         before, found, after = x[row - 1 : row + 2, column]
+        state = f"column {column}" if names is None else dict(enumerate(names)).get(column)
         raise InputError(
             name,
             expected="readings that follow one another",
-            found=f"{found:g} in row {row} of column {column}, between {before:g} and {after:g}",
+            found=f"{found:g} in row {row} of {state}, between {before:g} and {after:g}",
             remedy="cut the record there and pass the parts as trajectories; sample faster if it "
             "is real",
         )

@@ -168,8 +168,8 @@ def test_single_odd_readings_are_refused_or_said():
     x[0][[100, 300, 301, 500], [0, 1, 0, 1]] += 0.4
     assert SparseDynamics().fit(x, t).state_.code == "odd_rows"
     x[0][400] = 99.0
-    with pytest.raises(InputError, match="99 in row 400"):
-        SparseDynamics().fit(x, t)
+    with pytest.raises(InputError, match="99 in row 400 of q"):
+        SparseDynamics().fit(x, t, None, ["q", "w"])
 
 
 def test_a_missing_state_is_not_called_ok():
@@ -253,6 +253,7 @@ def test_bad_options_are_named(options, where):
         (np.full((100, 2), np.nan), 0.1, None, "x"),
         (np.ones((100, 2)), 0.1, None, "x0"),
         (np.random.default_rng(0).random((10, 2)), 0.1, None, "x of trajectory 0"),
+        ([np.random.default_rng(0).random((100, 2))] * 2, 0.1, None, "x of trajectory 1"),
         (np.random.default_rng(0).random((100, 2)), -0.1, None, "t"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.ones(50), "u of trajectory 0"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.zeros(100), "u"),
