@@ -69,12 +69,13 @@ def doubts_of(
     if unknown:
         name = plain_name(plain[0].label(model))
         out.append(f"{' and '.join(unknown)} is not known: {name} would do")
-    before, after = (
+    before, after, own = (
         np.reshape([getattr(run, name) for run in checks], (-1, noise.size))
-        for name in ("before_rms", "after_rms")
+        for name in ("before_rms", "after_rms", "refitted_rms")
     )
     wide = before > BEYOND_NOISE * noise
-    stays = after > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise)
+    # What a fit to the check record takes away differs between the records, and is not missing.
+    stays = np.fmin(after, own) > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise)
     if wide.any() and stays[wide].all():
         out.append("more than half of the error on check records stays")
     if step.rivalled:
