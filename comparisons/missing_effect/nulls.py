@@ -82,9 +82,12 @@ def foretold(
         return 1.0, 0.0, ""
     found = float(np.sum((basis.T @ error) ** 2)) / total
     spectrum = np.fft.rfft(error)
-    phases = rng.uniform(0.0, 2.0 * np.pi, (SURROGATES, spectrum.size))
-    surrogates = np.fft.irfft(spectrum * np.exp(1j * phases), error.size)
-    by_chance = np.sum((surrogates @ basis) ** 2, axis=1) / total
+
+    def by_phases() -> float:
+        turned = spectrum * np.exp(2j * np.pi * rng.random(spectrum.size))
+        return float(np.sum((np.fft.irfft(turned, error.size) @ basis) ** 2)) / total
+
+    by_chance = np.array([by_phases() for _ in range(SURROGATES)])
     p = (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + SURROGATES)
     along = np.abs(features.T @ error) / np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]

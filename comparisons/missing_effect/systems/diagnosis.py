@@ -43,15 +43,13 @@ from comparisons.missing_effect.systems.quantities import (
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.system import ModelRound, ModelSystem
+from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
 MOST_EFFECTS = 4
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
-# Share of what was explained at which another explanation does as well.
-AS_MUCH = 0.8
 # Errors so many times what is new in each of them are no white noise.
 COLOURED = 2.0
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
@@ -267,7 +265,7 @@ def _as_good_wider(bench: Bench, before: Fit, beyond: Collection[str]) -> bool:
         return False
     runs = runs_of(bench.records, bench.records.whole, before.structure.between, begun=True)
     wide = widened(before, beyond).again(runs, raw_metric([run.outputs for run in runs]))
-    return before.cost - wide.cost > AS_MUCH * (before.cost - _whole(bench)[0].cost)
+    return before.cost - wide.cost > RIVAL_SHARE * (before.cost - _whole(bench)[0].cost)
 
 
 def _lost(run: CheckRun) -> bool:

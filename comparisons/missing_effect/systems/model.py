@@ -224,8 +224,8 @@ class Model(Displayed):
             values = (size * rng.uniform(0.5, 1.5, n + len(self.inputs))).tolist()
             point = tuple(values[:n]), tuple(values[n:]), starts
             with suppress(ArithmeticError, ValueError):
-                self.evaluate(0.0, *point)
-                return point
+                if np.isfinite(np.concatenate(self.evaluate(0.0, *point))).all():
+                    return point
         return point
 
     def with_record_parameters(self) -> Model:

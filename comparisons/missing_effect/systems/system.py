@@ -34,6 +34,8 @@ LEAST_BLOCK_ROWS = 20
 # What is won in plain errors alone must be this share of the squared error, on rows fitted and
 # held out, and of the latter this share of the former.
 LEAST_SLOW_SHARE, HELD_OUT_SHARE = 0.25, 0.5
+# What explains this share of what an effect explains, by something else, is its rival.
+RIVAL_SHARE = 0.8
 # By how many powers of e small changes of the state may grow beyond the model without a term.
 MOST_GROWTH = 3.0
 # Whitened error of a run that ran away.
@@ -51,7 +53,7 @@ MODELS = Policy(
     one_sided=0.1,
     plain_speaks=True,
     terms_stand=True,
-    rival_share=0.8,
+    rival_share=RIVAL_SHARE,
     further_share=0.05,
     further_raw=0.25,
     aliases_refitted=True,
