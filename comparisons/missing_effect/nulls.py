@@ -7,15 +7,15 @@ coloured by disturbances that no model foretells.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from comparisons.missing_effect.covariance import orthonormal
 from surge_core.types import FloatArray
 
-# Both tests together (Fisher) speak below this chance.
+# Both tests together (Fisher), and that of a name's own place, speak below this chance.
 LEAST_P = 0.002
 # Errors this many times what is new in each of them come from a disturbance or from something
 # missing. Complete models under strong coloured noise reach 6.5 (research on eleven systems).
@@ -40,6 +40,8 @@ class Leftover:
         rms error over what is new in each error, of the worst output.
     follows : str
         What the errors follow most; empty where nothing.
+    asked : mapping
+        By the key of a name found, what its own place asks for beside it.
     """
 
     flip_p: float
@@ -47,6 +49,7 @@ class Leftover:
     foretold_share: float
     ratio: float
     follows: str = ""
+    asked: Mapping[Hashable, str] = field(default_factory=dict)
 
     @property
     def structured(self) -> bool:

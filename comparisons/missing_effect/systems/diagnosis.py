@@ -22,6 +22,7 @@ from comparisons.missing_effect.search import (
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
+    doubts_beside,
     doubts_of,
     left_words,
     leftover_of,
@@ -204,8 +205,9 @@ def _concluded(
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
     noise = np.asarray(metric.sigma)
+    names = [placed for _, placed in won]
     missing = tuple(
-        _found(after, after_cov, r, p, records, checked, beyond, left, noise) for r, p in won
+        _found(after, after_cov, r, p, records, checked, beyond, left, noise, names) for r, p in won
     )
     if left.structured:
         # A name beyond the first may stand in for what is left; so may the first, without a check
@@ -283,6 +285,7 @@ def _found(
     beyond: Mapping[str, str],
     left: Leftover,
     noise: FloatArray,
+    found: Sequence[Placed],
 ) -> MissingEffect:
     winner = step.winner
     assert winner is not None
@@ -290,6 +293,7 @@ def _found(
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = doubts_of(step, placed, numbers, checks, model, left, noise)
+    doubts += doubts_beside(placed, found, left, model)
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.nulls import LEAST_P, SURROGATES, Leftover, foretold
 from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
@@ -100,6 +100,38 @@ def doubts_of(
     return tuple(out)
 
 
+def doubts_beside(
+    placed: Placed, found: Sequence[Placed], left: Leftover, model: Model
+) -> tuple[str, ...]:
+    """Return why a name that fits may be another's: by what was found with it and what is left.
+
+    Where a name is not in the catalogue, the nearest that is takes its place and leaves what its
+    shape is not: a term of the same signal, or a second name on the same curve.
+    """
+    if placed.unnamed:
+        return ()
+    before = found[: [one.key for one in found].index(placed.key)]
+    out = []
+    if any(one.unnamed for one in before):
+        out.append("a term without a name was found before it, for which it may stand in")
+    for one in found:
+        label = plain_name(one.label(model))
+        if one.key == placed.key:
+            continue
+        if one.unnamed and placed.bends_as(one, model):
+            out.append(f"{label} had to stand beside it, so that its own shape is not sure")
+        elif placed.shares_curve_with(one) and not _jumps(placed):
+            out.append(f"{label} bends the same curve, which one law may do that is not tried")
+    if placed.key in left.asked:
+        out.append(f"what is left asks for {left.asked[placed.key]} beside it")
+    return tuple(out)
+
+
+def _jumps(placed: Placed) -> bool:
+    """Tell whether a term jumps where its signal changes sign, which no other law does."""
+    return placed.name in ("coulomb_friction", "stribeck_friction")
+
+
 def _known(size: FloatArray) -> FloatArray:
     """Return errors, infinite where a record could not be simulated."""
     return np.nan_to_num(size, nan=np.inf)
@@ -145,10 +177,7 @@ def leftover_of(
     placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
     metric = metric_of(bench.fit.errors)
     answers = Prober(bench.fit, bench.train, placed).in_metric(metric)
-    best = answers.best()
-    by_chance = answers.flipped(rng)
-    gain = best[0].gain if best else 0.0
-    flip_p = (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + by_chance.size)
+    flip_p = answers.p_value(SURROGATES)
     later = settled(bench.fit, bench.later, bench.raw)
     model = bench.records.model
     names = signal_names(model)
@@ -163,4 +192,9 @@ def leftover_of(
         if found[0] < p or (found[0] == p and found[1] > share):
             p, share, follows = found
     ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
-    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)
+    asked: dict[Hashable, str] = {}
+    for one in bench.fit.structure.effects:
+        there = answers.of([p for p in placed if one.bends_as(p, model)])
+        if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
+            asked[one.key] = plain_name(there.best()[0].placed.label(model))
+    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows, asked)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.shapes import Kind, Term
+from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.units import is_mechanical
 from surge_core.types import FloatArray
 
@@ -17,14 +17,20 @@ RAISED = {Term.SQUARE: "²", Term.SQUARE_PRODUCT: "²", Term.CUBE: "³"}
 # What an effect sits at.
 AT_INPUTS = (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY)
 AT_OUTPUTS = (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG)
+# Where a state ends, whatever happens there.
+LIMITS = (Kind.STATE_LIMIT, Kind.OVERFLOW)
 AT = {
     **dict.fromkeys((Kind.TERM, Kind.HYSTERESIS), "equation"),
-    **dict.fromkeys((Kind.STATE_LIMIT, Kind.OVERFLOW), "state"),
+    **dict.fromkeys(LIMITS, "state"),
     **dict.fromkeys(AT_INPUTS, "input"),
     **dict.fromkeys(AT_OUTPUTS, "sensor"),
     Kind.DRIFT: "parameter",
     Kind.RECORDING: "channels",
 }
+# What changes when a signal acts, and not how much.
+DYNAMIC = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG, Kind.RECORDING)
+# Terms whose two directions are alike, but for their sign.
+ODD = (Term.LINEAR, Term.CUBE, Term.DRAG, Term.COULOMB, Term.STRIBECK, Term.GAP, Term.SINE)
 
 
 def signal_names(model: Model) -> tuple[str, ...]:
@@ -201,6 +207,38 @@ class Placed:
     def is_plain_form_of(self, other: Placed) -> bool:
         """Tell whether another is this one with something more, at the same place."""
         return self.place == other.place and other.name in self.effect.simple_form_of
+
+    def bends_as(self, other: Placed, model: Model) -> bool:
+        """Tell whether another would do its work if its own shape were wrong.
+
+        What comes late and a linear term are linear dynamics, both; else it is a law of the same
+        one signal, in the same equation or where the signal comes from. A limit is where it is,
+        whatever the shape of what goes over it.
+        """
+        mine, its, channel = self.effect, other.effect, self._channel(model)
+        same = channel[1] != "" and channel == other._channel(model)
+        if mine.kind in DYNAMIC:
+            linear = its.kind == Kind.TERM and its.code == Term.LINEAR
+            return linear or its.kind == Kind.RECORDING or (same and its.kind in DYNAMIC)
+        terms = mine.kind == its.kind == Kind.TERM
+        elsewhere = terms and self.place.at != other.place.at
+        product = its.kind == Kind.TERM and other.place.other >= 0
+        shift = its.kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP) and its.code == Map.SHIFT
+        no_law = its.kind in (*DYNAMIC, Kind.DRIFT) or product or shift
+        return same and mine.kind not in LIMITS and not (elsewhere or no_law)
+
+    def shares_curve_with(self, other: Placed) -> bool:
+        """Tell whether two terms of one signal in one equation are one curve, both odd or even."""
+        terms = self.effect.kind == other.effect.kind == Kind.TERM
+        one, two = ((p.place.at, p.place.signal, p.place.other) for p in (self, other))
+        same = terms and one == two and self.place.signal >= 0 > self.place.other
+        return same and (self.effect.code in ODD) == (other.effect.code in ODD)
+
+    def _channel(self, model: Model) -> tuple[bool, str]:
+        """Return the signal that it acts on, empty where none, and whether a sensor's reading."""
+        names = self.where(model)
+        key = next((k for k in ("signal", "input", "sensor", "state") if k in names), "")
+        return key == "sensor", names.get(key, "")
 
     def where(self, model: Model) -> dict[str, str]:
         """Return its place in words: equation, signal, channel."""

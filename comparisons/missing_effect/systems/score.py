@@ -84,6 +84,13 @@ class Answers:
     error: FloatArray
     block: NDArray[np.int64]
 
+    def of(self, wanted: Sequence[Placed]) -> Answers:
+        """Return the answers to some of the effects."""
+        keys = {placed.key for placed in wanted}
+        kept = [k for k, probe in enumerate(self.probes) if probe.placed.key in keys]
+        probes = tuple(self.probes[k] for k in kept)
+        return replace(self, probes=probes, columns=self.columns[:, kept])
+
     def best(self) -> list[Probe]:
         """Return the best start of each effect at each place, best first."""
         kept: dict[object, Probe] = {}
@@ -136,12 +143,18 @@ class Answers:
         """
         return float(np.quantile(self.flipped(rng), CHANCE)) if self.probes else 0.0
 
-    def flipped(self, rng: np.random.Generator) -> FloatArray:
+    def p_value(self, flips: int) -> float:
+        """Return the chance of the largest first-order gain, by so many flips."""
+        gain = max((probe.gain for probe in self.probes), default=0.0)
+        by_chance = self.flipped(np.random.default_rng(0), flips)
+        return (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + flips)
+
+    def flipped(self, rng: np.random.Generator, flips: int = FLIPS) -> FloatArray:
         """Return the largest first-order gain under each of many flips of sign."""
         n_blocks = int(self.block.max()) + 1
         sums = np.zeros((n_blocks, len(self.probes)))
         np.add.at(sums, self.block, self.columns * self.error[:, None])
-        along = rng.choice([-1.0, 1.0], size=(FLIPS, n_blocks)) @ sums
+        along = rng.choice([-1.0, 1.0], size=(flips, n_blocks)) @ sums
         return np.asarray(0.5 * np.max(along**2, axis=1, initial=0.0))
 
 

@@ -15,6 +15,7 @@ import pytest
 import system_models as make
 import system_truths as truth
 
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.diagnosis import MOST_EFFECTS, diagnose_model
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.results import SystemDiagnosis
@@ -42,6 +43,15 @@ def diagnosed(
     fit = make.experiment(kind, made(seed, rows, noise=NOISE, **hidden), "training")
     check = make.experiment(kind, made(seed + 50, rows // 2, noise=NOISE, **hidden), "check")
     return diagnose_model(model(), fit, check, most_effects=most_effects)
+
+
+def test_the_nearest_name_is_not_firm_where_the_right_one_is_left_out() -> None:
+    drag = {"noise": NOISE, "force": lambda t, q, v: -v * abs(v)}
+    fit, check = (make.experiment("body", truth.body(s, 2000, **drag), f"{s}") for s in (3, 53))
+    catalogue = [effect for effect in SYSTEM_CATALOGUE if effect.name != "quadratic_drag"]
+    found = diagnose_model(make.body(), fit, check, catalogue=catalogue)
+    assert found.missing
+    assert all(item.provisional or item.unnamed for item in found.missing)
 
 
 def noise_of(diagnosis: SystemDiagnosis) -> np.ndarray:
