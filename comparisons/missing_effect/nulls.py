@@ -65,6 +65,11 @@ class Leftover:
         return self.ratio > LARGEST_RATIO
 
 
+def chance_of(found: float, by_chance: FloatArray) -> float:
+    """Return the chance of so large a figure, from draws without what it is to show."""
+    return (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + by_chance.size)
+
+
 def foretold(
     errors: Sequence[FloatArray],
     signals: Sequence[FloatArray],
@@ -91,7 +96,7 @@ def foretold(
         return float(np.sum((np.fft.irfft(turned, error.size) @ basis) ** 2)) / total
 
     by_chance = np.array([by_phases() for _ in range(SURROGATES)])
-    p = (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + SURROGATES)
+    p = chance_of(found, by_chance)
     along = np.abs(features.T @ error) / np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]
 

@@ -132,9 +132,8 @@ def label_of(effect: Effect) -> str:
 
 
 def plain_name(name: str) -> str:
-    """Return the name of an effect as it is read: without underscores."""
-    first, gap, place = name.partition(" ")
-    return f"{first.replace('_', ' ')}{gap}{place}"
+    """Return the name of an effect, or of two, without underscores; signals keep theirs."""
+    return re.sub(r"(^|(?<= \+ ))[^( ]+", lambda found: found[0].replace("_", " "), name)
 
 
 def equation_of(effect: Effect) -> str:

@@ -114,14 +114,12 @@ def doubts_beside(
     out = []
     if any(one.unnamed for one in before):
         out.append("a term without a name was found before it, for which it may stand in")
-    for one in found:
+    for one in (other for other in found if other.key != placed.key):
         label = plain_name(one.label(model))
-        if one.key == placed.key:
-            continue
-        if one.unnamed and placed.bends_as(one, model):
+        if one.unnamed and placed.bends_as(one):
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
         elif placed.shares_curve_with(one) and not _jumps(placed):
-            out.append(f"{label} bends the same curve, which one law may do that is not tried")
+            out.append(f"{label} bends the same curve, and one law that was not tried may do both")
     if placed.key in left.asked:
         out.append(f"what is left asks for {left.asked[placed.key]} beside it")
     return tuple(out)
@@ -194,7 +192,7 @@ def leftover_of(
     ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
     asked: dict[Hashable, str] = {}
     for one in bench.fit.structure.effects:
-        there = answers.of([p for p in placed if one.bends_as(p, model)])
+        there = answers.of([p for p in placed if one.bends_as(p)])
         if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
     return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows, asked)

@@ -208,37 +208,37 @@ class Placed:
         """Tell whether another is this one with something more, at the same place."""
         return self.place == other.place and other.name in self.effect.simple_form_of
 
-    def bends_as(self, other: Placed, model: Model) -> bool:
+    def bends_as(self, other: Placed) -> bool:
         """Tell whether another would do its work if its own shape were wrong.
 
         What comes late and a linear term are linear dynamics, both; else it is a law of the same
         one signal, in the same equation or where the signal comes from. A limit is where it is,
         whatever the shape of what goes over it.
         """
-        mine, its, channel = self.effect, other.effect, self._channel(model)
-        same = channel[1] != "" and channel == other._channel(model)
+        mine, its = self.effect, other.effect
+        same = self._channel[1] >= 0 and self._channel == other._channel
         if mine.kind in DYNAMIC:
             linear = its.kind == Kind.TERM and its.code == Term.LINEAR
             return linear or its.kind == Kind.RECORDING or (same and its.kind in DYNAMIC)
-        terms = mine.kind == its.kind == Kind.TERM
-        elsewhere = terms and self.place.at != other.place.at
+        elsewhere = mine.kind == its.kind == Kind.TERM and self.place.at != other.place.at
         product = its.kind == Kind.TERM and other.place.other >= 0
         shift = its.kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP) and its.code == Map.SHIFT
-        no_law = its.kind in (*DYNAMIC, Kind.DRIFT) or product or shift
-        return same and mine.kind not in LIMITS and not (elsewhere or no_law)
+        is_law = not (its.kind in DYNAMIC or product or shift)
+        return same and mine.kind not in LIMITS and is_law and not elsewhere
 
     def shares_curve_with(self, other: Placed) -> bool:
         """Tell whether two terms of one signal in one equation are one curve, both odd or even."""
         terms = self.effect.kind == other.effect.kind == Kind.TERM
-        one, two = ((p.place.at, p.place.signal, p.place.other) for p in (self, other))
-        same = terms and one == two and self.place.signal >= 0 > self.place.other
-        return same and (self.effect.code in ODD) == (other.effect.code in ODD)
+        single = self.place.signal >= 0 > max(self.place.other, other.place.other)
+        same = (self.place.at, self.place.signal) == (other.place.at, other.place.signal)
+        alike = (self.effect.code in ODD) == (other.effect.code in ODD)
+        return terms and single and same and alike
 
-    def _channel(self, model: Model) -> tuple[bool, str]:
-        """Return the signal that it acts on, empty where none, and whether a sensor's reading."""
-        names = self.where(model)
-        key = next((k for k in ("signal", "input", "sensor", "state") if k in names), "")
-        return key == "sensor", names.get(key, "")
+    @property
+    def _channel(self) -> tuple[bool, int]:
+        """Whether it sits at a sensor, and that sensor or else the signal that it acts on."""
+        sensor = self.effect.kind in AT_OUTPUTS
+        return sensor, self.place.at if sensor else self.place.signal
 
     def where(self, model: Model) -> dict[str, str]:
         """Return its place in words: equation, signal, channel."""

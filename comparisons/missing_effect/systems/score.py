@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.covariance import orthonormal
+from comparisons.missing_effect.nulls import chance_of
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import Metric, correlations
 from comparisons.missing_effect.systems.places import AT_OUTPUTS, Place, Placed, SystemEffect, rms
@@ -146,8 +147,7 @@ class Answers:
     def p_value(self, flips: int) -> float:
         """Return the chance of the largest first-order gain, by so many flips."""
         gain = max((probe.gain for probe in self.probes), default=0.0)
-        by_chance = self.flipped(np.random.default_rng(0), flips)
-        return (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + flips)
+        return chance_of(gain, self.flipped(np.random.default_rng(0), flips))
 
     def flipped(self, rng: np.random.Generator, flips: int = FLIPS) -> FloatArray:
         """Return the largest first-order gain under each of many flips of sign."""
