@@ -10,6 +10,7 @@ fitted again. The in-stall flag is in the records of even seeds. Parts:
     effects   15 effects, at each strength
     nulls     nothing missing; white, AR(1), Student, outliers, noise on the flow of 1 and 3 %
     outside   effects that no catalogue holds: no name is the right answer
+    left_out  the 15 again, each taken out of the catalogue: no name is the right answer
     pairs     two effects at once, each of strength 2
 
 `--quick` is for its working alone. `peers.py` asks the published recipe the same.
@@ -33,7 +34,7 @@ from comparisons.rig.coefficient_tests import NOISES, CoefficientTest, Noise, si
 from comparisons.study.sources import series_of
 from surge_core.files import to_strict_json
 
-PARTS = ("effects", "nulls", "outside", "pairs")
+PARTS = ("effects", "nulls", "outside", "left_out", "pairs")
 STRENGTHS = (0.5, 1.5, 3.0)
 PAIR_STRENGTH = 2.0
 SAVE_EVERY_ROWS = 50
@@ -44,7 +45,7 @@ DEGREE = 3
 class Case:
     """One test."""
 
-    kind: str  # "effect", "null", "outside" or "pair"
+    kind: str  # "effect", "null", "outside", "left_out" or "pair"
     planted: tuple[str, ...]  # The effects
     strength: float  # In sigma; 0 where nothing is planted
     seed: int
@@ -65,13 +66,15 @@ class Case:
         return replace(test, records=unmarked)
 
 
-def diagnosed(test: CoefficientTest) -> Row:
+def diagnosed(test: CoefficientTest, left_out: tuple[str, ...] = ()) -> Row:
     """Ask the diagnosis what is missing; all that the study knows of its interface is here."""
-    from comparisons.missing_effect import diagnose
+    from comparisons.missing_effect import CATALOGUE, diagnose
 
     records = series_of(test)
     begun = time.process_time()
-    found = diagnose(records, degree=DEGREE)
+    found = diagnose(
+        records, degree=DEGREE, catalogue=[e for e in CATALOGUE if e.name not in left_out]
+    )
     seconds = time.process_time() - begun
     return {
         "verdict": str(found.verdict),
@@ -113,7 +116,7 @@ def try_case(case: Case) -> Row:
             "error": "",
         }
         try:
-            row |= diagnosed(test)
+            row |= diagnosed(test, case.planted if case.kind == "left_out" else ())
         except Exception as error:
             # One test that breaks the diagnosis is a test lost, not the end of the study.
             row["error"] = f"{type(error).__name__}: {error}"
@@ -126,10 +129,10 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     seeds = range(first, first + options.seeds)
     parts = options.only
     cases: list[Case] = []
-    if "effects" in parts:
+    for part, kind in (("effects", "effect"), ("left_out", "left_out")):
         cases += [
-            Case("effect", (e,), s, seed) for e in options.effects for s in options.strengths
-            for seed in seeds
+            Case(kind, (e,), s, seed) for e in options.effects for s in options.strengths
+            for seed in seeds if part in parts
         ]  # fmt: skip
     if "nulls" in parts:
         null_seeds = range(first, first + options.null_seeds)

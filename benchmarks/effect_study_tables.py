@@ -177,8 +177,8 @@ def per_noise(rows: Sequence[Row]) -> str:
 
 
 def per_outside(rows: Sequence[Row]) -> str:
-    """Return what was said of effects that no catalogue holds: no firm name is the right answer."""
-    planted = pd.Series([row["planted"][0] for row in rows], name="outside the catalogue")
+    """Return what was said of effects not in the catalogue: no firm name is the right answer."""
+    planted = pd.Series([row["planted"][0] for row in rows], name="not in the catalogue")
     shown = pd.crosstab(planted, [row["verdict"] or "error" for row in rows], colnames=[""])
     shown.insert(0, "firm names", pd.Series(map(len, map(firm_names, rows))).groupby(planted).sum())
     return text_of(shown)
@@ -199,6 +199,7 @@ def report(rows: Sequence[Row]) -> str:
         ("effect", lambda r: r["planted"][0], "planted \\ ranked first", per_effect),
         ("null", lambda r: r["noise"], "nothing missing, noise", per_noise),
         ("outside", lambda r: r["planted"][0], "outside the catalogue", per_outside),
+        ("left_out", lambda r: r["planted"][0], "taken out of the catalogue", per_outside),
         ("pair", lambda r: " + ".join(r["planted"]), "pairs", pairs_table),
     ):
         if some := [row for row in rows if row["kind"] == name]:
@@ -212,7 +213,7 @@ def _against(row: Row) -> str:
     bad = row["error"]
     if not bad and row["kind"] == "effect":
         bad = outcome(row) if outcome(row) not in ("unique", "set", "prov. right") else ""
-    elif not bad and row["kind"] in ("null", "outside"):
+    elif not bad and row["kind"] in ("null", "outside", "left_out"):
         bad = ", ".join(false_names(row) if row["kind"] == "null" else firm_names(row))
     sets = "; ".join("|".join(item["alias_set"]) for item in row["missing"])
     where = f"seed {row['seed']} {'+'.join(row['planted'])} {row['strength']:g} {row['noise']}"

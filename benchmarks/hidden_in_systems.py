@@ -3,11 +3,13 @@
 Each truth is integrated by a Runge-Kutta method of its own, with an effect that the model lacks or
 with none, and noise of 1 % of each output's spread; a model that starts from wrong parameters is
 diagnosed on one record and checked on another. Columns: records; the truth in the set named; the
-set of one name; records with a further name that was not hidden; verdicts that are provisional or
-without a name; and the medians of the check error over the noise, before and after.
+set of one name; records with a further name that was not hidden, and with such a name that is firm;
+verdicts that are provisional or without a name; and the medians of the check error over the noise,
+before and after. With --leave-out the right name is taken out of the catalogue, so that every firm
+name is false.
 
     python benchmarks/hidden_in_systems.py [--seeds 5] [--first-seed 100] [--jobs 2]
-        [--only NAME,...]
+        [--only NAME,...] [--leave-out]
 """
 
 from __future__ import annotations
@@ -69,18 +71,20 @@ CASES: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
 }
 
 
-def outcome(case: str, seed: int) -> dict[str, Any]:
+def outcome(case: str, seed: int, leave_out: bool) -> dict[str, Any]:
     """Make a record, diagnose it, and compare."""
     import system_models
     import system_truths
 
-    from comparisons.missing_effect import diagnose_model
+    from comparisons.missing_effect import SYSTEM_CATALOGUE, diagnose_model
 
     kind, hidden, right = CASES[case]
     made, model = getattr(system_truths, kind), getattr(system_models, kind)()
     fit = system_models.experiment(kind, made(seed, ROWS, noise=NOISE, **hidden), "training")
     check = made(seed + CHECK_SEED, CHECK_ROWS, noise=NOISE, **hidden)
-    said = diagnose_model(model, fit, system_models.experiment(kind, check, "check"))
+    catalogue = [e for e in SYSTEM_CATALOGUE if not (leave_out and e.name in right)]
+    checks = system_models.experiment(kind, check, "check")
+    said = diagnose_model(model, fit, checks, catalogue=catalogue)
     sets = [item.alias_set for item in said.missing]
     if right == (NOTHING,):
         found, alone, further = not sets, not sets, tuple(n for s in sets for n in s[:1])
@@ -95,6 +99,10 @@ def outcome(case: str, seed: int) -> dict[str, Any]:
         "named": found,
         "alone": alone,
         "further": bool(further),
+        "firm": any(
+            not (item.provisional or item.unnamed or set(right) & set(item.alias_set))
+            for item in said.missing
+        ),
         "vague": said.verdict in ("provisional", "unnamed_term"),
         "before": float(np.max(run.before_rms / noise)),
         "after": float(np.max(run.after_rms / noise)),
@@ -109,15 +117,18 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", default="", help="rows whose name holds one of these")
+    parser.add_argument("--leave-out", action="store_true", help="the right name does not compete")
     given = parser.parse_args()
     wanted = [part for part in given.only.split(",") if part]
     cases = [c for c in CASES if not wanted or any(part in c for part in wanted)]
+    if given.leave_out:
+        cases = [case for case in cases if CASES[case][2] != (NOTHING,)]
     seeds = range(given.first_seed, given.first_seed + given.seeds)
-    jobs = [(case, seed) for case in cases for seed in seeds]
+    jobs = [(case, seed, given.leave_out) for case in cases for seed in seeds]
     with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
         rows = pd.DataFrame(list(pool.map(outcome, *zip(*jobs, strict=True))))
     groups = rows.groupby("hidden", sort=False)
-    shown = groups[["named", "alone", "further", "vague"]].sum()
+    shown = groups[["named", "alone", "further", "firm", "vague"]].sum()
     shown.insert(0, "n", groups.size())
     shown = shown.join(groups[["before", "after"]].median())
     names = groups["further names"].agg(lambda several: ", ".join(sorted({*several.sum()})))

@@ -111,6 +111,9 @@ class Effect:
     switches : bool
         Whether a small step of its thresholds can change the answer at once: where φ turns back
         just at one of them, the likelihood jumps.
+    kin : Effect, optional
+        What acts much as this does and is no name: while the rows do not tell it apart, what is
+        there may be neither.
     """
 
     name: str
@@ -128,6 +131,7 @@ class Effect:
     unnamed: bool = False
     adapted: Adapts | None = None
     switches: bool = False
+    kin: Effect | None = None
 
     @property
     def linear(self) -> bool:

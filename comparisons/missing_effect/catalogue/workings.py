@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.kernels import shifted
+from comparisons.missing_effect.effect import Effect, Parameter
+from comparisons.missing_effect.kernels import lag_pass, shifted
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 from surge_core.segments import scored_pieces
@@ -46,6 +47,26 @@ def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 def _second_order(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return replace(ports, a2_s2=max(float(values[0]), 0.0))
+
+
+def _filtered(share: float, ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    """Pass a share of the characteristic through one more lag; the rest goes by it.
+
+    Twice the lagged one less itself has gain 1 at all frequencies: all but a delay.
+    """
+    if not values[0] > 0.0:
+        return ports
+    target = ports.driven * np.reshape(ports.gain, (-1, 1))
+    slow = lag_pass(np.ascontiguousarray(target), float(values[0]), data.step_s, data.fine_runs)
+    return replace(ports, driven=share * slow + (1.0 - share) * target, gain=1.0)
+
+
+def _bent(ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    return ports.with_driven(np.minimum(ports.phi - values[0], 0.0)[:, None] ** 2, ("bend",))
+
+
+def _bend_grid(data: LagData) -> FloatArray:
+    return np.quantile(data["phi"], BRANCH_QUANTILES)[:, None]
 
 
 def _with_tau(ports: Ports, factor: FloatArray) -> Ports:
@@ -300,15 +321,28 @@ def _unchanged(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return ports
 
 
+# What a second lag, a delay and a shape are taken for on records that do not part them.
+_TIME = Parameter("a", "s", 0.0, 0.2, "free", 1e-4)
+_ONE_MORE_LAG = Effect("one more lag", "lag", "", "", (_TIME,), partial(_filtered, 1.0))
+_DEAD_TIME = Effect("a dead time", "lag", "", "", (_TIME,), partial(_filtered, 2.0))
+_LEVEL = Parameter("level", "1", -2.0, 2.0, "free", 1e-4)
+_DEPTH = Parameter("c", "1", -np.inf, np.inf)
+_BEND = Effect("a bend", "characteristic", "", "", (_DEPTH, _LEVEL), _bent, _bend_grid)
+
 # By the names of effects.toml; an effect without a grid has nothing but an amplitude.
 WORKINGS: dict[str, dict[str, Any]] = {
-    "transport_delay": {"acts": _delayed},
+    "transport_delay": {"acts": _delayed, "kin": _ONE_MORE_LAG},
     "facility_heating": {"acts": _heated, "grid": _heating_times},
     "speed_droop": {"acts": _drooped},
     "hysteresis": {"acts": _branched, "grid": _branch_grid},
     "reverse_flow_branch": {"acts": _reversed, "grid": _both_ways},
-    "characteristic_shape": {"acts": _shaped, "grid": _interval_grid, "adapted": _over_the_range},
-    "second_order_lag": {"acts": _second_order},
+    "characteristic_shape": {
+        "acts": _shaped,
+        "grid": _interval_grid,
+        "adapted": _over_the_range,
+        "kin": _BEND,
+    },
+    "second_order_lag": {"acts": _second_order, "kin": _DEAD_TIME},
     "amplitude_dependent_lag": {"acts": _amplitude_lag, "grid": _both_ways},
     "asymmetric_lag": {"acts": _asymmetric},
     "flow_dependent_lag": {"acts": _flow_lag, "grid": _flow_thresholds},

@@ -12,6 +12,7 @@ from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
@@ -26,6 +27,8 @@ from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.types import FloatArray
 
+# Effects that are another one with something more, whether or not that other one competes.
+REFINED = frozenset(name for effect in SYSTEM_CATALOGUE for name in effect.simple_form_of)
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
@@ -64,11 +67,13 @@ def doubts_of(
         out.append("the error on no check record got better by it")
     if placed.effect.unnamed:
         return tuple(out)
-    plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
-    unknown = [n.name for n in numbers[1:] if plain and not n.stderr < 0.5 * abs(n.value)]
+    refined = placed.name in REFINED
+    unknown = [n.name for n in numbers[1:] if refined and not n.stderr < 0.5 * abs(n.value)]
     if unknown:
-        name = plain_name(plain[0].label(model))
-        out.append(f"{' and '.join(unknown)} is not known: {name} would do")
+        plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
+        name = plain_name(plain[0].label(model)) if plain else "a plainer law"
+        are = "is" if len(unknown) == 1 else "are"
+        out.append(f"{' and '.join(unknown)} {are} not known: {name} would do")
     before, after, own = (
         np.reshape([getattr(run, name) for run in checks], (-1, noise.size))
         for name in ("before_rms", "after_rms", "refitted_rms")

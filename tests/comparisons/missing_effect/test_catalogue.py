@@ -114,11 +114,6 @@ def test_amplitude_zero_is_the_model_without_it_and_a_visible_one_is_not(
         assert np.max(np.abs(changed - plain)) > 1e-5
 
 
-def test_bounds_leave_out_what_is_not_physical() -> None:
-    assert find_effect("facility_heating").nonlinear[1].low == 0.02
-    assert find_effect("second_order_lag").nonlinear[0].low == 0.0
-
-
 def test_channels_that_are_not_there_or_stand_still() -> None:
     records = series_of(hidden(None, seed=5, n_samples=400))
     complete = load_data(records)
