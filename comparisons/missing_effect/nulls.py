@@ -1,6 +1,6 @@
 """Is anything missing? Tests whose null comes from the record itself.
 
-"Nothing is missing" is a statement like any other: it is made when three tests, each of which
+"Nothing is missing" is a statement like any other: it is made when four tests, each of which
 would have seen a gap, see none. None of them asks for white errors: on real records errors are
 coloured by disturbances that no model foretells.
 """
@@ -20,6 +20,9 @@ LEAST_P = 0.002
 # Errors this many times what is new in each of them come from a disturbance or from something
 # missing. Complete models under strong coloured noise reach 6.5 (research on eleven systems).
 LARGEST_RATIO = 7.0
+# Above this many times, what is left is more than the noise of each reading, and what is new in
+# each sample is asked as well. Errors before that foretell an error; plays, in standard deviations.
+COLOURED, MEMORY, BACK, PLAYS = 2.0, 10, 2, (0.1, 0.3, 1.0)
 # So many that one test can speak where the other says nothing.
 SURROGATES = 4000
 
@@ -42,6 +45,8 @@ class Leftover:
         What the errors follow most; empty where nothing.
     asked : mapping
         By the key of a name found, what its own place asks for beside it.
+    new_p : float
+        Chance of how well signals foretell what is new in each error.
     """
 
     flip_p: float
@@ -50,6 +55,7 @@ class Leftover:
     ratio: float
     follows: str = ""
     asked: Mapping[Hashable, str] = field(default_factory=dict)
+    new_p: float = 1.0
 
     @property
     def structured(self) -> bool:
@@ -57,7 +63,8 @@ class Leftover:
         from scipy.stats import chi2
 
         joined = -2.0 * float(np.log(self.flip_p) + np.log(self.foretold_p))
-        return bool(chi2.sf(joined, 4) < LEAST_P)
+        anew = self.ratio > COLOURED and self.new_p < LEAST_P
+        return bool(chi2.sf(joined, 4) < LEAST_P) or anew
 
     @property
     def disturbed(self) -> bool:
@@ -99,6 +106,54 @@ def foretold(
     p = chance_of(found, by_chance)
     along = np.abs(features.T @ error) / np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]
+
+
+def anew_p(errors: Sequence[FloatArray], signals: Sequence[FloatArray]) -> float:
+    """Return the chance of how well signals foretell what is new in each error, by an F test.
+
+    Where errors are slow, errors of the same spectrum hide much; what is missing acts anew in each
+    sample. Beside the errors before it, features of the rows before count, and the way in which
+    each signal moves. A play that was left out left 4 to 6 times the noise, at chances of 0.01 to
+    0.2 by the spectrum and below 1e-11 here. Of 2 400 records of noise of four colours, none came
+    below 0.003.
+    """
+    from scipy.stats import f
+
+    whole = np.concatenate(list(signals))
+    if not np.isfinite(whole).all():
+        return 1.0
+    mean, spread = whole.mean(axis=0), np.std(whole, axis=0)
+    ways = [_ways((one - mean) / np.where(spread > 0.0, spread, 1.0)) for one in signals]
+    features = np.column_stack([_features(whole, [""] * mean.size)[0], np.concatenate(ways)])
+    target, before, beside = [], [], []
+    ends = np.cumsum([e.size for e in errors])[:-1]
+    for one, beside_one in zip(errors, np.split(features, ends), strict=True):
+        there = np.flatnonzero(np.isfinite(one))
+        e, at = one[there], np.arange(MEMORY, there.size)
+        target.append(e[at])
+        before.append(np.column_stack([np.ones(at.size), *(e[at - k - 1] for k in range(MEMORY))]))
+        beside.append(np.column_stack([beside_one[there[at - k - 1]] for k in range(BACK)]))
+    error, basis = np.concatenate(target), orthonormal(np.concatenate(before))
+    error -= basis @ (basis.T @ error)
+    # Not freed of the errors before: slow features and they would share out what chance wins.
+    own = orthonormal(np.concatenate(beside))
+    n_own, n_left = own.shape[1], error.size - basis.shape[1] - own.shape[1]
+    won = float(np.sum((own.T @ error) ** 2))
+    left = float(error @ error) - won
+    if n_own == 0 or n_left < n_own or not left > 0.0:
+        return 1.0
+    return float(f.sf((won / n_own) / (left / n_left), n_own, n_left))
+
+
+def _ways(z: FloatArray) -> FloatArray:
+    """Return what plays of several widths take off signals, each in units of its width."""
+    widths = np.repeat(PLAYS, z.shape[1])
+    driven = np.tile(z, len(PLAYS))
+    out, behind = np.empty_like(driven), driven[0]
+    for k, row in enumerate(driven):
+        behind = np.clip(behind, row - widths, row + widths)
+        out[k] = (row - behind) / widths
+    return out
 
 
 def _features(signals: FloatArray, names: Sequence[str]) -> tuple[FloatArray, list[str]]:

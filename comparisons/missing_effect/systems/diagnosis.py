@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.nulls import Leftover
+from comparisons.missing_effect.nulls import COLOURED, Leftover
 from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.results import CORRELATION, MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
@@ -51,8 +51,6 @@ from surge_core.types import FloatArray
 MOST_EFFECTS = 4
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
-# Errors so many times what is new in each of them are no white noise.
-COLOURED = 2.0
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
 STILL_FORETOLD = "inputs and states still foretell the error that is left"

@@ -7,7 +7,13 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.nulls import LEAST_P, SURROGATES, Leftover, foretold
+from comparisons.missing_effect.nulls import (
+    LEAST_P,
+    SURROGATES,
+    Leftover,
+    anew_p,
+    foretold,
+)
 from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
@@ -17,12 +23,15 @@ from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
+    LIMITS,
     Placed,
     SystemEffect,
     label_of,
     signal_names,
 )
+from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
+from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.types import FloatArray
@@ -125,9 +134,22 @@ def doubts_beside(
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
         elif placed.shares_curve_with(one) and not _jumps(placed):
             out.append(f"{label} bends the same curve, and one law that was not tried may do both")
+        elif _level_of(placed, model) == _level_of(one, model) != "":
+            out.append(f"{label} begins at a level of the same signal, and one limit may do both")
     if placed.key in left.asked:
         out.append(f"what is left asks for {left.asked[placed.key]} beside it")
     return tuple(out)
+
+
+def _level_of(placed: Placed, model: Model) -> str:
+    """Return the reading, or the state, at a level of which something begins; empty elsewhere."""
+    kind, code = placed.effect.kind, placed.effect.code
+    if kind == Kind.OUTPUT_MAP and code in (Map.UPPER, Map.LOWER, Map.BOTH):
+        return model.output_names[placed.place.at]
+    if kind in LIMITS or (kind == Kind.TERM and code == Term.GAP):
+        state = placed.place.signal
+        return measured_as(model).get(state, model.state_names[state])
+    return ""
 
 
 def _jumps(placed: Placed) -> bool:
@@ -185,13 +207,18 @@ def leftover_of(
     model = bench.records.model
     names = signal_names(model)
     n_x = len(model.states)
-    signals = [
-        np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
-        for run, path in zip(bench.later, later.paths, strict=True)
-    ]
-    p, share, follows = 1.0, 0.0, ""
+    fitted, held_out = (
+        [
+            np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
+            for run, path in zip(runs, fit.paths, strict=True)
+        ]
+        for runs, fit in ((bench.train, bench.fit), (bench.later, later))
+    )
+    p, share, follows, new_p = 1.0, 0.0, "", 1.0
     for j in range(len(model.outputs)):
-        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], signals, names, rng)
+        every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
+        new_p = min(new_p, anew_p(every, [*fitted, *held_out]))
+        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], held_out, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
             p, share, follows = found
     ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
@@ -200,4 +227,5 @@ def leftover_of(
         there = answers.of([p for p in placed if one.bends_as(p)])
         if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
-    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows, asked)
+    p, new_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p))
+    return Leftover(flip_p, p, share, ratio, follows, asked, new_p)

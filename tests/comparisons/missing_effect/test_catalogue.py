@@ -12,25 +12,9 @@ from comparisons.missing_effect import CATALOGUE, Effect, find_effect
 from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
+from comparisons.rig.coefficient_effects import EFFECTS
 from surge_core.errors import InputError
 
-PORTS = {
-    "transport_delay": "input",
-    "facility_heating": "characteristic",
-    "speed_droop": "characteristic",
-    "hysteresis": "characteristic",
-    "reverse_flow_branch": "characteristic",
-    "characteristic_shape": "characteristic",
-    "second_order_lag": "lag",
-    "amplitude_dependent_lag": "lag",
-    "asymmetric_lag": "lag",
-    "flow_dependent_lag": "lag",
-    "flow_inertia": "output",
-    "thermocouple_lag": "output",
-    "sensitivity_drift": "output",
-    "bias_drift": "output",
-    "rotating_stall_ripple": "output",
-}
 # Visible amplitudes; the sizes that records of surge show.
 SIZES = {
     "transport_delay": 0.01,
@@ -77,8 +61,8 @@ def base_answer(data: LagData) -> np.ndarray:
     return Structure(CUBIC).output(data, np.array([np.log(TAU_S)]), BETA)
 
 
-def test_identifiers_and_ports_are_those_of_the_design() -> None:
-    assert {effect.name: effect.port for effect in CATALOGUE} == PORTS
+def test_identifiers_are_those_of_the_study() -> None:
+    assert {effect.name for effect in CATALOGUE} == set(EFFECTS)
     with pytest.raises(InputError, match=r"transport_delay.*rotating_stall_ripple.*'heat'"):
         find_effect("heat")
 
