@@ -36,6 +36,7 @@ from comparisons.missing_effect.systems.places import Placed, SystemEffect, labe
 from comparisons.missing_effect.systems.quantities import (
     AT_BOUND,
     asked_beyond,
+    at_bound,
     correlation_of,
     covariance,
     numbers_of,
@@ -291,8 +292,9 @@ def _found(
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = doubts_of(step, placed, numbers, checks, model, left, noise)
-    doubts += doubts_beside(placed, found, left, model)
+    doubts += doubts_beside(placed, found, left, model, checks)
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
+    doubts += tuple(filter(None, [at_bound(fit, placed)]))
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
@@ -455,7 +457,7 @@ def _remarks(
         )
     if not base.fit.failed and not gone and (left.structured or left.disturbed):
         out.append(left_words(left, bool(missing)))
-    elif not missing and left.ratio > COLOURED:
+    elif not (missing or base.fit.failed) and left.ratio > COLOURED:
         out.append(
             f"The error is {left.ratio:.1f} times what is new in each sample. Noise that goes on "
             "from sample to sample does that, and so does a disturbance that no input shows: these "

@@ -8,6 +8,7 @@ import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.nulls import (
+    COLOURED,
     LEAST_P,
     SURROGATES,
     Leftover,
@@ -23,6 +24,7 @@ from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
+    DYNAMIC,
     LIMITS,
     Placed,
     SystemEffect,
@@ -45,6 +47,13 @@ FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
 _NOT_REJECTED = "the record does not reject it"
 # A firm name leaves less than this share of an error that was more than so many times the noise.
 MOST_LEFT, BEYOND_NOISE = 0.5, 2.0
+NEXT_TO_NOTHING = 0.01
+# What stays of the squared error, over what a rival explains less, below which it is rejected.
+LEAST_ARREARS = 0.1
+# An error this many times what is new in each sample is hardly more than that.
+BARELY = 1.1
+# It closes this share of a gap that is clear of the noise.
+LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -83,15 +92,7 @@ def doubts_of(
         name = plain_name(plain[0].label(model)) if plain else "a plainer law"
         are = "is" if len(unknown) == 1 else "are"
         out.append(f"{' and '.join(unknown)} {are} not known: {name} would do")
-    before, after, own = (
-        np.reshape([getattr(run, name) for run in checks], (-1, noise.size))
-        for name in ("before_rms", "after_rms", "refitted_rms")
-    )
-    wide = before > BEYOND_NOISE * noise
-    # What a fit to the check record takes away differs between the records, and is not missing.
-    stays = np.fmin(after, own) > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise)
-    if wide.any() and stays[wide].all():
-        out.append("more than half of the error on check records stays")
+    out += _left_on(checks, noise)
     if step.rivalled:
         out.append("a term without a name explains more")
     elif _outfitted(step, winner):
@@ -105,17 +106,52 @@ def doubts_of(
             "those fitted"
         )
     rival = step.rival
-    # A record rejects a rival where what stands in its place leaves nothing. Else neither is right.
-    if rival is not None and (step.rival_p > REJECTED or left.structured):
+    # A record rejects a rival where what stands in its place leaves nothing, or too little to make
+    # up for the rival's arrears. Else neither is right.
+    against = (
+        rival is not None
+        and left.structured
+        and _share_left(checks) > (LEAST_ARREARS * (1.0 - rival.rank / winner.rank))
+    )
+    if rival is not None and (step.rival_p > REJECTED or against):
         share = 100.0 * rival.rank / winner.rank
         name = plain_name(label_of(rival.added, model))
-        rejected = "what is left speaks against both" if left.structured else _NOT_REJECTED
+        rejected = "what is left speaks against both" if against else _NOT_REJECTED
         out.append(f"{name} explains {share:.0f} % as much, and {rejected}")
     return tuple(out)
 
 
+def _share_left(checks: Sequence[CheckRun]) -> float:
+    """Return the largest share of the squared error on check records that stays; 1 without any."""
+    shares = [float(np.max((_known(run.after_rms) / run.before_rms) ** 2)) for run in checks]
+    return max(shares, default=1.0)
+
+
+def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
+    """Return what of the error on check records stays; nothing where they are as they should be."""
+    before, after, own = (
+        np.reshape([getattr(run, name) for run in checks], (-1, noise.size))
+        for name in ("before_rms", "after_rms", "refitted_rms")
+    )
+    # What a fit to the check record takes away differs between the records, and is not missing.
+    stays = np.fmin(after, own)
+    wide = before > BEYOND_NOISE * noise
+    if wide.any() and (stays > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise))[wide].all():
+        return ["more than half of the error on check records stays"]
+    # Where what is new in each error is large, half of it says little: what is beyond that counts.
+    clear = before > CLEAR_OF_NOISE * noise
+    gap, left = before**2 - noise**2, stays**2 - noise**2
+    if clear.any() and (left > (1.0 - LEAST_CLOSED) * gap)[clear].all():
+        return ["it closes less than a quarter of the gap to the noise on check records"]
+    return []
+
+
 def doubts_beside(
-    placed: Placed, found: Sequence[Placed], left: Leftover, model: Model
+    placed: Placed,
+    found: Sequence[Placed],
+    left: Leftover,
+    model: Model,
+    checks: Sequence[CheckRun],
 ) -> tuple[str, ...]:
     """Return why a name that fits may be another's: by what was found with it and what is left.
 
@@ -134,9 +170,14 @@ def doubts_beside(
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
         elif placed.shares_curve_with(one) and not _jumps(placed):
             out.append(f"{label} bends the same curve, and one law that was not tried may do both")
+        elif placed.effect.kind in DYNAMIC and one.effect.kind in DYNAMIC:
+            out.append(f"{label} comes late as well, and one of a higher order may do both")
         elif _level_of(placed, model) == _level_of(one, model) != "":
             out.append(f"{label} begins at a level of the same signal, and one limit may do both")
-    if placed.key in left.asked:
+    # Where a name leaves next to nothing of the error and other things are missing, their answers
+    # lie along those of any place: 0.04 % stays of the Silverbox's, 5 % where names were false.
+    other = left.ratio > COLOURED and _share_left(checks) < NEXT_TO_NOTHING
+    if placed.key in left.asked and not other:
         out.append(f"what is left asks for {left.asked[placed.key]} beside it")
     return tuple(out)
 
@@ -172,6 +213,9 @@ def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
 
 def left_words(left: Leftover, named: bool) -> str:
     """Say that something is missing that nothing here fits: its size, and what it follows."""
+    if named and left.ratio < BARELY:
+        follows = f": it follows {left.follows} most" if left.follows else ""
+        return f"A small part of the error that is left is no chance{follows}."
     lead = "Beyond what was found s" if named else "S"
     if left.structured:
         follows = f"; it follows {left.follows} most" if left.follows else ""

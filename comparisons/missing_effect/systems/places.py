@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from comparisons.missing_effect.systems.units import is_mechanical
+from comparisons.missing_effect.systems.units import is_mechanical, is_speed
 from surge_core.types import FloatArray
 
 # How often the signal of an open term counts, in labels.
@@ -293,7 +293,8 @@ class Placed:
         if effect.neutral is not None:
             units = [*model.states.values(), *model.inputs.values()]
             acting = units[place.at], units[place.signal if place.signal >= 0 else place.at]
-            if not all(is_mechanical(unit) for unit in acting):
+            # A length alone may be a level; what moves has a speed as well.
+            if not (all(map(is_mechanical, acting)) and any(map(is_speed, units))):
                 return effect.neutral
         return Neutral(effect.name.replace("_", " "), effect.says, effect.confirm)
 

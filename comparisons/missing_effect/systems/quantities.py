@@ -166,6 +166,16 @@ def numbers_of(
     return tuple(out)
 
 
+def at_bound(fit: Fit, placed: Placed) -> str:
+    """Say that the first number of an effect stands at an end of its search; empty elsewhere."""
+    if not placed.effect.numbers or placed.held[0]:
+        return ""
+    number, value = placed.effect.numbers[0], float(fit.theta[fit.structure.slots_of(placed)[0]])
+    room = min(value - number.low, number.high - value)
+    near = room < AT_BOUND * (number.high - number.low)
+    return f"{number.name} stands at the end of what is searched" if near else ""
+
+
 def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
     """Return the largest correlation of two numbers of one effect; 0 where it has no two."""
     at = fit.structure.slots_of(placed)[np.flatnonzero([not held for held in placed.held])]

@@ -16,7 +16,7 @@ from comparisons.missing_effect.systems.bench import BETTER_BETWEEN, Bench
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
-from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.places import DYNAMIC, Placed, SystemEffect
 from comparisons.missing_effect.systems.race import (
     FLIP_SEED,
     favoured_metric,
@@ -198,7 +198,13 @@ class ModelSystem(Bench, System[Placed, Fit]):
         return (step.winner, *(c for c in others if self._stands_for(one, c)))
 
     def _stands_for(self, one: Placed, other: ModelCandidate) -> bool:
-        """Tell whether a candidate does as well as what was found, on either part of the rows."""
+        """Tell whether a candidate does as well as what was found, on either part of the rows.
+
+        Of two that come late the start of a run, which no one knows, decides: the state of a sensor
+        begins at its reading, that of an input at the input.
+        """
+        if {one.effect.kind, other.added[0].effect.kind} <= set(DYNAMIC):
+            return True
         moved = self._swapped(one, other)
         close = self._cost(moved.fit) < self._own_cost + LEAST_LOST
         return close or moved.held_out_size() < self.held_out_size()
@@ -212,7 +218,9 @@ class ModelSystem(Bench, System[Placed, Fit]):
             structure = structure.without(gone)
         effects = tuple(other.added[0] if e.key == one.key else e for e in structure.effects)
         there = replace(structure, effects=effects)
-        if len(effects) > 1 or other.onward is None:
+        # What was fitted beside others, which later became needless, has their numbers, too.
+        beside = len(effects) > 1 or len(other.fit.structure.effects) > 1
+        if beside or other.onward is None:
             return replace(self.refitted(there, theta), white=None)
         ends = (replace(fit, structure=there) for fit in (other.fit, other.onward))
         return self.with_better(*ends)

@@ -72,3 +72,8 @@ def is_mechanical(unit: str) -> bool:
     """Tell whether a unit is that of a motion: of a length or an angle, or of their rates."""
     powers = {s: p for s, p in _powers(unit).items() if s not in TIMES}
     return len(powers) == 1 and all(s in (*LENGTHS, *ANGLES) and p == 1 for s, p in powers.items())
+
+
+def is_speed(unit: str) -> bool:
+    """Tell whether a unit is that of the rate of a length or an angle."""
+    return is_mechanical(unit) and any(s in TIMES and p < 0 for s, p in _powers(unit).items())

@@ -29,7 +29,6 @@ SIZES = {
 }
 TAU_S = 0.1
 BETA = np.array([0.3, 1.4, -0.6, -0.8])
-SI_UNITS = {"1", "s", "s^2", "1/s", "Hz"}
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 
 
@@ -65,22 +64,6 @@ def test_identifiers_are_those_of_the_study() -> None:
     assert {effect.name for effect in CATALOGUE} == set(EFFECTS)
     with pytest.raises(InputError, match=r"transport_delay.*rotating_stall_ripple.*'heat'"):
         find_effect("heat")
-
-
-@every_effect
-def test_parameters_have_units_bounds_and_steps(effect: Effect) -> None:
-    names = [p.name for p in effect.parameters]
-    assert len(names) == len(set(names)) > 0
-    for p in effect.parameters:
-        assert p.unit in SI_UNITS
-        assert p.low < p.high
-        assert 0.0 < p.step < p.high - p.low
-    amplitude = effect.parameters[0]
-    assert amplitude.kind in ("linear", "free")
-    # The effect can be absent, and its slope at that end can be taken.
-    assert amplitude.low <= 0.0 < amplitude.high
-    assert all(p.kind != "linear" for p in effect.parameters[1:])
-    assert effect.linear is (amplitude.kind == "linear")
 
 
 @every_effect

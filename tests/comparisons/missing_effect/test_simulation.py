@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect import CATALOGUE, find_effect
+from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
 from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.kernels import varying_lag_pass
@@ -254,11 +254,6 @@ def test_every_effect_is_the_integral_of_its_equation(
     assert off_by(plain_truth, truth) > 1e-2
 
 
-def test_the_cases_cover_the_catalogue() -> None:
-    elsewhere = {"second_order_lag", "characteristic_shape", "rotating_stall_ripple"}
-    assert {name for name, *_ in TRUTHS.values()} | elsewhere == {e.name for e in CATALOGUE}
-
-
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.25, 0.6], ids=lambda s: f"a2 = {s} tau^2")
 def test_second_order_is_the_integral_of_its_equation(
     share: float, data: LagData, plain_truth: Array
@@ -398,13 +393,8 @@ def test_splines_leave_the_powers_of_the_base_alone(n_base: int) -> None:
     assert np.max(np.abs(lacking)) > 1e-3 or n_base == 4
 
 
-def test_splines_are_smooth_and_constant_beyond_the_range() -> None:
+def test_splines_are_constant_beyond_the_range() -> None:
     span = (-0.12, 0.55)
     for side, end in (((-0.5, -0.12), -0.12), ((0.55, 0.9), 0.55)):
         beyond = shape_columns(np.linspace(*side, 50), span, 12, 4)
         assert np.allclose(beyond, shape_columns(np.array([end]), span, 12, 4))
-    phi = np.linspace(*span, 20_001)
-    columns = shape_columns(phi, span, 12, 4)
-    # The second derivative of cubic splines has no jumps.
-    bend = np.diff(columns, 2, axis=0) / (phi[1] - phi[0]) ** 2
-    assert np.max(np.abs(np.diff(bend, axis=0))) < 0.02 * np.max(np.abs(bend))

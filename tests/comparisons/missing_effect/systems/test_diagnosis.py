@@ -17,7 +17,8 @@ import system_truths as truth
 
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.diagnosis import MOST_EFFECTS, diagnose_model
-from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
 TRAIN, CHECK = 600, 300
@@ -57,6 +58,59 @@ def test_the_nearest_name_is_not_firm_where_the_right_one_is_left_out(name: str)
     found = diagnose_model(make.body(), fit, check, catalogue=catalogue)
     assert found.verdict != "nothing_missing"
     assert all(item.provisional or item.unnamed for item in found.missing)
+
+
+def test_a_name_of_several_records_stands_where_others_became_needless() -> None:
+    """Prey in a pond of its own size, which the model has not."""
+
+    def pond(seed: int, n: int, start: list[float]) -> Experiment:
+        rng = np.random.default_rng(seed)
+        fished = np.repeat(rng.uniform(0.0, 0.3, n), 10)[:n]
+
+        def slopes(t: float, x: list[float]) -> list[float]:
+            prey = x[0] * (0.8 - 0.05 * x[0] - 0.25 * x[1] - fished[min(int(2.0 * t), n - 1)])
+            return [prey, x[1] * (0.12 * x[0] - 0.5)]
+
+        seen = [truth.noisy(x, 0.02, rng) for x in truth.integrated(slopes, start, n, 0.5, 20).T]
+        return Experiment(f"{seed}", 0.5, {"h": fished, "N": seen[0], "M": seen[1]})
+
+    stocks, rates = (
+        {"N": "t", "M": "t"},
+        {"r": P(1.6, 0.1, 5.0, "1/a"), "d": P(1.0, 0.05, 3.0, "1/a")},
+    )
+    eaten = {"b": P(0.5, 0.02, 2.0, "1/(a t)"), "e": P(0.06, 0.01, 1.0, "1/(a t)")}
+    model = Model(
+        name="pond", states=stocks, inputs={"h": "1/a"}, outputs=stocks, params=rates | eaten,
+        rhs=lambda t, x, u, p: (x.N * (p.r - p.b * x.M - u.h), x.M * (p.e * x.N - p.d)),
+        output=lambda t, x, u, p: (x.N, x.M),
+    )  # fmt: skip
+    fit = [pond(23, 350, [5.0, 2.0]), pond(24, 350, [8.0, 1.0])]
+    (found,) = diagnose_model(model, fit, pond(25, 300, [4.0, 3.0])).missing
+    assert "quadratic_stiffness" in found.alias_set
+    assert found.parameters[0].value == pytest.approx(0.05, rel=0.02)
+
+
+def test_a_lag_is_given_no_place_that_the_start_alone_decides() -> None:
+    """Heat comes late into a block whose record begins in mid-operation: drive or sensor."""
+    rng = np.random.default_rng(65)
+
+    def block(n: int) -> Experiment:
+        power = truth.tones(rng, 30.0, 0.05, mean=100.0)
+
+        def slopes(t: float, x: list[float]) -> list[float]:
+            return [(x[1] - 0.9 * x[0]) / 80.0, (power(t) - x[1]) / 4.0]
+
+        made = truth.integrated(slopes, [100.0, power(0.0) - 15.0], n, 1.0)
+        heat = truth.noisy(made[:, 0], 0.01, rng)
+        return Experiment("block", 1.0, {"P": truth.sampled(power, n, 1.0), "T": heat})
+
+    params = {"C": P(120.0, 10.0, 500.0, "J/K"), "b": P(0.7, 0.1, 10.0, "W/K")}
+    model = Model(
+        name="block", states={"T": "K"}, inputs={"P": "W"}, outputs={"T": "K"}, params=params,
+        rhs=lambda t, x, u, p: ((u.P - p.b * x.T) / p.C,), output=lambda t, x, u, p: x.T,
+    )  # fmt: skip
+    (found,) = diagnose_model(model, block(1500), block(800)).missing
+    assert set(found.confirm) == {"further_lag of T", "further_lag(P) in P"}
 
 
 def noise_of(diagnosis: SystemDiagnosis) -> np.ndarray:
