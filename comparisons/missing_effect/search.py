@@ -101,7 +101,12 @@ def _winner(
     standing = [c for c in ranked if c.evidence.stands]
     best = max((c for c in standing if c.accepted), key=lambda c: c.rank, default=None)
     if best is None:
-        slow = max((c for c in ranked if c.accepted_slow), key=lambda c: c.slow, default=None)
+        slows = [c for c in ranked if c.accepted_slow]
+        slow = max(slows, key=lambda c: c.slow, default=None)
+        if slow is not None and slow.unnamed:
+            # A name speaks here, too, wherever it wins nearly as much.
+            alike = [c for c in slows if not c.unnamed and c.slow > policy.same_share * slow.slow]
+            slow = max(alike, key=lambda c: c.slow, default=slow)
         return slow, () if slow is None else (slow,), False
     names = [c for c in standing if not c.unnamed]
     rivalled = False

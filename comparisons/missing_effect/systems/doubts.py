@@ -268,7 +268,9 @@ def leftover_of(
     ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
     asked: dict[Hashable, str] = {}
     for one in bench.fit.structure.effects:
-        there = answers.of([p for p in placed if one.bends_as(p)])
+        # A form with something more is of its own set.
+        others = [p for p in placed if one.bends_as(p) and not one.is_plain_form_of(p)]
+        there = answers.of(others)
         if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
     p, new_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p))
