@@ -47,6 +47,7 @@ FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
 _NOT_REJECTED = "the record does not reject it"
 # A firm name leaves less than this share of an error that was more than so many times the noise.
 MOST_LEFT, BEYOND_NOISE = 0.5, 2.0
+# What stays of the squared error where a name leaves next to nothing.
 NEXT_TO_NOTHING = 0.01
 # What stays of the squared error, over what a rival explains less, below which it is rejected.
 LEAST_ARREARS = 0.1
@@ -123,7 +124,12 @@ def doubts_of(
 
 def _share_left(checks: Sequence[CheckRun]) -> float:
     """Return the largest share of the squared error on check records that stays; 1 without any."""
-    shares = [float(np.max((_known(run.after_rms) / run.before_rms) ** 2)) for run in checks]
+    shares = [
+        float((after / before) ** 2)
+        for run in checks
+        for after, before in zip(_known(run.after_rms), run.before_rms, strict=True)
+        if before > 0.0 and np.isfinite(before)
+    ]
     return max(shares, default=1.0)
 
 

@@ -167,11 +167,14 @@ def numbers_of(
 
 
 def at_bound(fit: Fit, placed: Placed) -> str:
-    """Say that the first number of an effect stands at an end of its search; empty elsewhere."""
+    """Say that the first number of an effect ended as far out as it is searched; empty elsewhere.
+
+    Its nearer bound is what it has in plain forms: no effect, an exponent of one.
+    """
     if not placed.effect.numbers or placed.held[0]:
         return ""
     number, value = placed.effect.numbers[0], float(fit.theta[fit.structure.slots_of(placed)[0]])
-    room = min(value - number.low, number.high - value)
+    room = max(abs(number.low), abs(number.high)) - abs(value)
     near = room < AT_BOUND * (number.high - number.low)
     return f"{number.name} stands at the end of what is searched" if near else ""
 
