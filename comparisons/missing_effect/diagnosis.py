@@ -151,8 +151,9 @@ def _beside_kin(diagnosis: LagDiagnosis, final: Bench) -> LagDiagnosis:
 
 
 def _stands_in(kin: Effect, effect: Effect, final: Bench) -> bool:
-    """Tell whether the rows do not tell an effect from its kin."""
-    return any(c.name == kin.name for c in final.stand_ins(effect, None, [effect, kin]))
+    """Tell whether the rows do not tell an effect from its kin, or do not show it alone."""
+    tried = final.stand_ins(effect, None, [effect, kin])
+    return not tried or any(candidate.name == kin.name for candidate in tried)
 
 
 def _noise_on_flow(noise: NoiseModel) -> MissingEffect:

@@ -21,8 +21,14 @@ LEAST_P = 0.002
 # missing. Complete models under strong coloured noise reach 6.5 (research on eleven systems).
 LARGEST_RATIO = 7.0
 # Above this many times, what is left is more than the noise of each reading, and what is new in
-# each sample is asked as well. Errors before that foretell an error; plays, in standard deviations.
-COLOURED, MEMORY, BACK, PLAYS = 2.0, 10, 2, (0.1, 0.3, 1.0)
+# each sample is asked as well.
+COLOURED = 2.0
+# Errors before that foretell an error: at 4 what slow errors leave of themselves looked foretold.
+MEMORY = 10
+# Rows before whose features count; of one row alone a play had chances of 1e-5, of two 1e-13.
+BACK = 2
+# Plays that say which way a signal moves, in its standard deviations.
+PLAYS = (0.1, 0.3, 1.0)
 # So many that one test can speak where the other says nothing.
 SURROGATES = 4000
 
@@ -46,7 +52,8 @@ class Leftover:
     asked : mapping
         By the key of a name found, what its own place asks for beside it.
     new_p : float
-        Chance of how well signals foretell what is new in each error.
+        Chance of how well signals foretell what is new in each error of an output whose errors are
+        coloured; 1 where none is.
     """
 
     flip_p: float
@@ -63,8 +70,7 @@ class Leftover:
         from scipy.stats import chi2
 
         joined = -2.0 * float(np.log(self.flip_p) + np.log(self.foretold_p))
-        anew = self.ratio > COLOURED and self.new_p < LEAST_P
-        return bool(chi2.sf(joined, 4) < LEAST_P) or anew
+        return bool(chi2.sf(joined, 4) < LEAST_P) or self.new_p < LEAST_P
 
     @property
     def disturbed(self) -> bool:
@@ -108,10 +114,10 @@ def foretold(
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]
 
 
-def anew_p(errors: Sequence[FloatArray], signals: Sequence[FloatArray]) -> float:
+def newly_foretold(errors: Sequence[FloatArray], signals: Sequence[FloatArray]) -> float:
     """Return the chance of how well signals foretell what is new in each error, by an F test.
 
-    Where errors are slow, errors of the same spectrum hide much; what is missing acts anew in each
+    Where errors are slow, errors of the same spectrum hide much; what is missing acts afresh in each
     sample. Beside the errors before it, features of the rows before count, and the way in which
     each signal moves. A play that was left out left 4 to 6 times the noise, at chances of 0.01 to
     0.2 by the spectrum and below 1e-11 here. Of 2 400 records of noise of four colours, none came

@@ -11,8 +11,7 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, LagCandidate
-from comparisons.missing_effect.catalogue import find_effect
-from comparisons.missing_effect.catalogue.workings import NAMELESS
+from comparisons.missing_effect.catalogue import NAMELESS, find_effect
 from comparisons.missing_effect.conclusion import concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.evidence import LEAST_Z
@@ -170,15 +169,13 @@ def _nameless(
     records bore another name firmly.
     """
     names, first = {effect.name for effect in catalogue}, members[0]
-    others = {e.name: name for name, e in NAMELESS.items() if name not in names}
-    tried = bench.tried([NAMELESS[name] for name in others.values()]).candidates
-    for other in tried:
+    others = [find_effect(name) for name in NAMELESS if name not in names]
+    for other in bench.tried(others).candidates:
         share = 1.0 - other.fit.cost / bench.fit.cost
         enough = share >= (1.0 - bench.policy.alias.share) * first.evidence.share
         # As in `WholeRuns.near`: far from its reference a drift of the zero is one of the gain.
-        same = first.name == "bias_drift" and others[other.name] == SENSITIVITY
-        if enough or same:
-            return f"{other.name} would do as well, and has no name in the catalogue"
+        if enough or (first.name, other.name) == ("bias_drift", SENSITIVITY):
+            return f"{NAMELESS[other.name]} would do as well, and has no name in the catalogue"
     return ""
 
 

@@ -23,6 +23,12 @@ def _read() -> Iterator[Effect]:
 # Noise on φ is not searched among the others: it is found from the errors, as noise.
 *_NAMES, FLOW_NOISE = _read()
 CATALOGUE: tuple[Effect, ...] = tuple(_NAMES)
+# What records from counts take for other names where a catalogue lacks theirs, in words.
+NAMELESS = {
+    "transport_delay": "a dead time",
+    "second_order_lag": "one more lag",
+    "sensitivity_drift": "a gain that moves",
+}
 
 
 def find_effect(name: str) -> Effect:

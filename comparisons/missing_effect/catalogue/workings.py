@@ -329,15 +329,6 @@ _LEVEL = Parameter("level", "1", -2.0, 2.0, "free", 1e-4)
 _DEPTH = Parameter("c", "1", -np.inf, np.inf)
 _BEND = Effect("a bend", "characteristic", "", "", (_DEPTH, _LEVEL), _bent, _bend_grid)
 
-# Without a name, what records from counts take for other names where a catalogue lacks theirs.
-_MOVES = (Parameter("s", "1/s", -0.5, 5.0, "free", 1e-5),)
-_SHIFT = (Parameter("d", "s", -0.2, 0.2, "free", 1e-4),)
-NAMELESS = {
-    "transport_delay": Effect("a dead time", "input", "", "", _SHIFT, _delayed),
-    "second_order_lag": _ONE_MORE_LAG,
-    "sensitivity_drift": Effect("a gain that moves", "output", "", "", _MOVES, _sensitivity),
-}
-
 # By the names of effects.toml; an effect without a grid has nothing but an amplitude.
 WORKINGS: dict[str, dict[str, Any]] = {
     "transport_delay": {"acts": _delayed, "kin": _ONE_MORE_LAG},

@@ -12,7 +12,7 @@ from comparisons.missing_effect.nulls import (
     LEAST_P,
     SURROGATES,
     Leftover,
-    anew_p,
+    newly_foretold,
     foretold,
 )
 from comparisons.missing_effect.quantities import plain_name
@@ -24,7 +24,6 @@ from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
-    DYNAMIC,
     LIMITS,
     Placed,
     SystemEffect,
@@ -51,10 +50,13 @@ MOST_LEFT, BEYOND_NOISE = 0.5, 2.0
 NEXT_TO_NOTHING = 0.01
 # What stays of the squared error, over what a rival explains less, below which it is rejected.
 LEAST_ARREARS = 0.1
+# A firm name closes this share of a gap that is clear of the noise: a sensor that samples and holds
+# was a lag that closed 6 % of it.
+LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
 # An error this many times what is new in each sample is hardly more than that.
 BARELY = 1.1
-# It closes this share of a gap that is clear of the noise.
-LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
+# A signal is said to be followed where chance does as well this seldom.
+FOLLOWED_P = 0.05
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -86,13 +88,13 @@ def doubts_of(
         out.append("the error on no check record got better by it")
     if placed.effect.unnamed:
         return tuple(out)
-    refined = placed.name in REFINED
+    plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
+    refined = bool(plain) or placed.name in REFINED
     unknown = [n.name for n in numbers[1:] if refined and not n.stderr < 0.5 * abs(n.value)]
     if unknown:
-        plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
-        name = plain_name(plain[0].label(model)) if plain else "a plainer law"
+        would_do = f": {plain_name(plain[0].label(model))} would do" if plain else ""
         are = "is" if len(unknown) == 1 else "are"
-        out.append(f"{' and '.join(unknown)} {are} not known: {name} would do")
+        out.append(f"{' and '.join(unknown)} {are} not known{would_do}")
     out += _left_on(checks, noise)
     if step.rivalled:
         out.append("a term without a name explains more")
@@ -144,9 +146,18 @@ def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
     wide = before > BEYOND_NOISE * noise
     if wide.any() and (stays > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise))[wide].all():
         return ["more than half of the error on check records stays"]
-    # Where what is new in each error is large, half of it says little: what is beyond that counts.
-    clear = before > CLEAR_OF_NOISE * noise
-    gap, left = before**2 - noise**2, stays**2 - noise**2
+    # Where what is new in each error is large, half of it says little: what is beyond that counts,
+    # and larger noise on a check record is none of it.
+    floor = np.array(
+        [
+            np.fmax(noise, metric_of([run.errors(before=False)]).sigma)
+            if np.isfinite(run.after_rms).all()
+            else noise
+            for run in checks
+        ]
+    ).reshape(before.shape)
+    clear = before > CLEAR_OF_NOISE * floor
+    gap, left = before**2 - floor**2, stays**2 - floor**2
     if clear.any() and (left > (1.0 - LEAST_CLOSED) * gap)[clear].all():
         return ["it closes less than a quarter of the gap to the noise on check records"]
     return []
@@ -176,8 +187,8 @@ def doubts_beside(
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
         elif placed.shares_curve_with(one) and not _jumps(placed):
             out.append(f"{label} bends the same curve, and one law that was not tried may do both")
-        elif placed.effect.kind in DYNAMIC and one.effect.kind in DYNAMIC:
-            out.append(f"{label} comes late as well, and one of a higher order may do both")
+        elif placed.is_late_with(one):
+            out.append(f"{label} is late as well, and one lag of a higher order may do both")
         elif _level_of(placed, model) == _level_of(one, model) != "":
             out.append(f"{label} begins at a level of the same signal, and one limit may do both")
     # Where a name leaves next to nothing of the error and other things are missing, their answers
@@ -189,9 +200,9 @@ def doubts_beside(
 
 
 def _level_of(placed: Placed, model: Model) -> str:
-    """Return the reading, or the state, at a level of which something begins; empty elsewhere."""
+    """Return the reading or state above a level of which something begins; empty elsewhere."""
     kind, code = placed.effect.kind, placed.effect.code
-    if kind == Kind.OUTPUT_MAP and code in (Map.UPPER, Map.LOWER, Map.BOTH):
+    if kind == Kind.OUTPUT_MAP and code == Map.UPPER:
         return model.output_names[placed.place.at]
     if kind in LIMITS or (kind == Kind.TERM and code == Term.GAP):
         state = placed.place.signal
@@ -265,13 +276,14 @@ def leftover_of(
         for runs, fit in ((bench.train, bench.fit), (bench.later, later))
     )
     p, share, follows, new_p = 1.0, 0.0, "", 1.0
+    ratios = bench.fit.rms / np.asarray(metric.sigma)
     for j in range(len(model.outputs)):
-        every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
-        new_p = min(new_p, anew_p(every, [*fitted, *held_out]))
+        if ratios[j] > COLOURED:
+            every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
+            new_p = min(new_p, newly_foretold(every, [*fitted, *held_out]))
         found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], held_out, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
             p, share, follows = found
-    ratio = float(np.max(bench.fit.rms / np.asarray(metric.sigma)))
     asked: dict[Hashable, str] = {}
     for one in bench.fit.structure.effects:
         # A form with something more is of its own set.
@@ -280,4 +292,5 @@ def leftover_of(
         if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
     p, new_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p))
-    return Leftover(flip_p, p, share, ratio, follows, asked, new_p)
+    follows = follows if p < FOLLOWED_P else ""
+    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p)

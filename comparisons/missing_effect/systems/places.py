@@ -29,6 +29,7 @@ AT = {
 }
 # What changes when a signal acts, and not how much.
 DYNAMIC = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG, Kind.RECORDING)
+LATE = tuple(kind for kind in DYNAMIC if kind != Kind.INPUT_PLAY)
 # Terms whose two directions are alike, but for their sign.
 ODD = (Term.LINEAR, Term.CUBE, Term.DRAG, Term.COULOMB, Term.STRIBECK, Term.GAP, Term.SINE)
 
@@ -225,6 +226,13 @@ class Placed:
         shift = its.kind in (Kind.INPUT_MAP, Kind.OUTPUT_MAP) and its.code == Map.SHIFT
         is_law = not (its.kind in DYNAMIC or product or shift)
         return same and mine.kind not in LIMITS and is_law and not elsewhere
+
+    def is_late_with(self, other: Placed) -> bool:
+        """Tell whether both are lags or delays of one path: one lag may be what both are."""
+        one, two = self.effect.kind, other.effect.kind
+        same_end = any(one in end and two in end for end in (AT_INPUTS, AT_OUTPUTS))
+        late = one in LATE and two in LATE
+        return late and not (same_end and self.place.at != other.place.at)
 
     def shares_curve_with(self, other: Placed) -> bool:
         """Tell whether two terms of one signal in one equation are one curve, both odd or even."""

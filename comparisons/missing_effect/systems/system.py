@@ -16,7 +16,7 @@ from comparisons.missing_effect.systems.bench import BETTER_BETWEEN, Bench
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
-from comparisons.missing_effect.systems.places import DYNAMIC, Placed, SystemEffect
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.race import (
     FLIP_SEED,
     favoured_metric,
@@ -200,10 +200,10 @@ class ModelSystem(Bench, System[Placed, Fit]):
     def _stands_for(self, one: Placed, other: ModelCandidate) -> bool:
         """Tell whether a candidate does as well as what was found, on either part of the rows.
 
-        Of two that come late the start of a run, which no one knows, decides: the state of a sensor
-        begins at its reading, that of an input at the input.
+        Of a lag of the drive and one of the sensor the start of a run, which no one knows, decides:
+        the state of a sensor begins at its reading, that of an input at the input.
         """
-        if {one.effect.kind, other.added[0].effect.kind} <= set(DYNAMIC):
+        if {one.effect.kind, other.added[0].effect.kind} == {Kind.INPUT_LAG, Kind.OUTPUT_LAG}:
             return True
         moved = self._swapped(one, other)
         close = self._cost(moved.fit) < self._own_cost + LEAST_LOST

@@ -76,4 +76,5 @@ def is_mechanical(unit: str) -> bool:
 
 def is_speed(unit: str) -> bool:
     """Tell whether a unit is that of the rate of a length or an angle."""
-    return is_mechanical(unit) and any(s in TIMES and p < 0 for s, p in _powers(unit).items())
+    powers = _powers(unit)
+    return is_mechanical(unit) and ("rpm" in powers or any(powers.get(s, 0) < 0 for s in TIMES))

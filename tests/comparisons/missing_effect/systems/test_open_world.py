@@ -12,7 +12,7 @@ import pytest
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model
-from comparisons.missing_effect.nulls import Leftover, anew_p, foretold
+from comparisons.missing_effect.nulls import Leftover, newly_foretold, foretold
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
@@ -109,16 +109,16 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
 def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
     """Errors that have nothing to do with the signals are called foretold as often as stated."""
     p, cycle = [], np.sin(2.0 * np.pi * np.arange(600)[:, None] / 97.0 + [0.0, 1.2, 2.0])
-    anew = []
+    newly = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         slow = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
         given = np.exp(cycle) if periodic else slow
         error = slow_signal(rng, 600)
         p.append(foretold([error], [given], ("a", "b", "c"), rng)[0])
-        anew.append(anew_p([error], [given]))
+        newly.append(newly_foretold([error], [given]))
     # 60 uniform numbers: 6 are expected below 0.1, sd 2.3, and 0.06 below 0.001.
-    for chances in (p, anew):
+    for chances in (p, newly):
         assert np.count_nonzero(np.array(chances) < 0.1) <= 13
         assert np.count_nonzero(np.array(chances) < 0.001) <= 1
 
