@@ -117,7 +117,7 @@ def foretold(
 def newly_foretold(errors: Sequence[FloatArray], signals: Sequence[FloatArray]) -> float:
     """Return the chance of how well signals foretell what is new in each error, by an F test.
 
-    Where errors are slow, errors of the same spectrum hide much; what is missing acts afresh in each
+    Where errors are slow, errors of one spectrum hide much; what is missing acts afresh in each
     sample. Beside the errors before it, features of the rows before count, and the way in which
     each signal moves. A play that was left out left 4 to 6 times the noise, at chances of 0.01 to
     0.2 by the spectrum and below 1e-11 here. Of 2 400 records of noise of four colours, none came

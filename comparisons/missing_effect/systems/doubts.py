@@ -12,8 +12,8 @@ from comparisons.missing_effect.nulls import (
     LEAST_P,
     SURROGATES,
     Leftover,
-    newly_foretold,
     foretold,
+    newly_foretold,
 )
 from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.runs import CheckRun

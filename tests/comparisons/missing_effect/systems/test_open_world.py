@@ -12,7 +12,7 @@ import pytest
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model
-from comparisons.missing_effect.nulls import Leftover, newly_foretold, foretold
+from comparisons.missing_effect.nulls import Leftover, foretold, newly_foretold
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
