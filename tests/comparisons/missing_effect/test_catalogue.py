@@ -92,12 +92,7 @@ def test_channels_that_are_not_there_or_stand_still() -> None:
     in_one = load_data([records[0], *[without_channels(record) for record in records[1:]]])
     assert find_effect("thermocouple_lag").missing_channel(in_one) == "needs the column T25_K"
     for effect in CATALOGUE:
+        column = {"thermocouple_lag": "T25_K", "speed_droop": "Nc_frac"}.get(effect.name)
         assert effect.missing_channel(complete) is None
-        if effect.name == "thermocouple_lag":
-            assert effect.missing_channel(bare) == "needs the column T25_K"
-            assert str(effect.missing_channel(still)).endswith("T25_K that changes")
-        elif effect.name == "speed_droop":
-            assert effect.missing_channel(bare) == "needs the column Nc_frac"
-            assert str(effect.missing_channel(still)).endswith("Nc_frac that changes")
-        else:
-            assert effect.missing_channel(bare) is None
+        assert effect.missing_channel(bare) == (column and f"needs the column {column}")
+        assert effect.missing_channel(still) == (column and f"needs a {column} that changes")

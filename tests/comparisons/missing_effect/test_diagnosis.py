@@ -108,7 +108,6 @@ def test_what_stands_in_no_catalogue_gets_no_firm_name(effect: str) -> None:
     assert d.verdict != "nothing_missing"
 
 
-# The last three leave nothing behind that one test of all effects together would see.
 TAKEN_OUT = [("hysteresis", 3), ("amplitude_dependent_lag", 3), ("sensitivity_drift", 3)]
 TAKEN_OUT += [(e, 9812) for e in ("transport_delay", "second_order_lag", "reverse_flow_branch")]
 

@@ -39,7 +39,7 @@ def diagnosed(case: str, hidden: str | None = None) -> Diagnosis:
 
 
 @pytest.fixture(scope="module")
-def altered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | None], Diagnosis]:
+def altered(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
     """The record of the other rig, with one thing about it altered."""
 
     def diagnosis(what: str | None, without: str = "") -> Diagnosis:
@@ -178,7 +178,6 @@ def test_the_other_rig_s_record_lacks_the_loss_in_reversed_flow_alone(
 def test_the_other_rig_s_record_altered_is_named(
     altered: Callable[..., Diagnosis], what: str, name: str
 ) -> None:
-    """And another name is not firm where its own is not in the catalogue."""
     d = altered(what)
     firm = [set(item.alias_set) for item in d.missing if not item.provisional]
     assert any(name in names for names in firm)

@@ -9,8 +9,10 @@ import pytest
 from effect_data import CUBIC, hidden, series_of
 
 from comparisons.missing_effect import find_effect
-from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.conclusion import (
+    LEAST_SIZE,
+    concluded,
     covariance_of,
     fitted_parameters,
     size_in_errors,
@@ -18,6 +20,8 @@ from comparisons.missing_effect.conclusion import (
 from comparisons.missing_effect.diagnosis import first_bench
 from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.probes import Leftover
+from comparisons.missing_effect.results import SIZE
 
 SHORT = {"seed": 3, "n_samples": 1000}
 
@@ -59,3 +63,11 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
     numbers = fitted_parameters(slow, bench, covariance_of(slow, bench))["facility_heating"]
     assert all(number.stderr > abs(number.value) for number in numbers)
     assert size_of(bench, slow) > 10.0
+
+
+def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:
+    base, name = bench_of(None), "facility_heating"
+    rounds = [LagRound(base, (), None, leftover=Leftover(0.0, 0, 1.0))]
+    d = concluded(base, with_effect(base, name, 0.01, 20.0), rounds, {name: ()}, "", (), 1e-3)
+    assert d.missing[0].evidence[SIZE] < LEAST_SIZE
+    assert (d.missing[0].provisional, d.verdict) == (True, "provisional")

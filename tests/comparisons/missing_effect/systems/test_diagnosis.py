@@ -61,8 +61,6 @@ def test_the_nearest_name_is_not_firm_where_the_right_one_is_left_out(name: str)
 
 
 def test_a_name_of_several_records_stands_where_others_became_needless() -> None:
-    """Prey in a pond of its own size, which the model has not."""
-
     def pond(seed: int, n: int, start: list[float]) -> Experiment:
         rng = np.random.default_rng(seed)
         fished = np.repeat(rng.uniform(0.0, 0.3, n), 10)[:n]
@@ -74,24 +72,21 @@ def test_a_name_of_several_records_stands_where_others_became_needless() -> None
         seen = [truth.noisy(x, 0.02, rng) for x in truth.integrated(slopes, start, n, 0.5, 20).T]
         return Experiment(f"{seed}", 0.5, {"h": fished, "N": seen[0], "M": seen[1]})
 
-    stocks, rates = (
-        {"N": "t", "M": "t"},
-        {"r": P(1.6, 0.1, 5.0, "1/a"), "d": P(1.0, 0.05, 3.0, "1/a")},
-    )
+    stocks = {"N": "t", "M": "t"}
+    rates = {"r": P(1.6, 0.1, 5.0, "1/a"), "d": P(1.0, 0.05, 3.0, "1/a")}
     eaten = {"b": P(0.5, 0.02, 2.0, "1/(a t)"), "e": P(0.06, 0.01, 1.0, "1/(a t)")}
     model = Model(
         name="pond", states=stocks, inputs={"h": "1/a"}, outputs=stocks, params=rates | eaten,
         rhs=lambda t, x, u, p: (x.N * (p.r - p.b * x.M - u.h), x.M * (p.e * x.N - p.d)),
         output=lambda t, x, u, p: (x.N, x.M),
     )  # fmt: skip
-    fit = [pond(23, 350, [5.0, 2.0]), pond(24, 350, [8.0, 1.0])]
-    (found,) = diagnose_model(model, fit, pond(25, 300, [4.0, 3.0])).missing
+    runs = [pond(23, 350, [5.0, 2.0]), pond(24, 350, [8.0, 1.0]), pond(25, 300, [4.0, 3.0])]
+    (found,) = diagnose_model(model, runs[:2], runs[2]).missing
     assert "quadratic_stiffness" in found.alias_set
     assert found.parameters[0].value == pytest.approx(0.05, rel=0.02)
 
 
 def test_a_lag_is_given_no_place_that_the_start_alone_decides() -> None:
-    """Heat comes late into a block whose record begins in mid-operation: drive or sensor."""
     rng = np.random.default_rng(65)
 
     def block(n: int) -> Experiment:

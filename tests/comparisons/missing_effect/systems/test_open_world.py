@@ -108,8 +108,8 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
 @pytest.mark.parametrize("periodic", [False, True])
 def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
     """Errors that have nothing to do with the signals are called foretold as often as stated."""
-    p, cycle = [], np.sin(2.0 * np.pi * np.arange(600)[:, None] / 97.0 + [0.0, 1.2, 2.0])
-    newly = []
+    cycle = np.sin(2.0 * np.pi * np.arange(600)[:, None] / 97.0 + [0.0, 1.2, 2.0])
+    p, newly = [], []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         slow = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
