@@ -41,6 +41,9 @@ def bracketed(value: float, error: float) -> str:
         return significant(value)
     value, error, power = _scaled(value, error)
     decimals = decimals_for(error)
+    if abs(value) < error:
+        # Rounded to tens of its error a parameter would stand outside its bounds.
+        decimals = max(decimals, 0)
     rounded = _rounded_error(error)
     last_digits = rounded * 10.0**decimals if 0.0 < rounded < 1.0 else rounded
     error_text = f"{last_digits:.0f}" if rounded < 1.0 else _fixed(rounded, decimals)

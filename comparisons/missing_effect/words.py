@@ -233,7 +233,8 @@ def _fall_words(d: Diagnosis) -> str:
             scale_of(unit, [size]).text(size)
             for unit, size in zip(d.outputs.values(), d.floor, strict=False)
         ]
-        share = f", which closes {closed} of the gap to the noise ({', '.join(noise)})"
+        floor = "the noise" if d.of_series else "what is new in each sample"
+        share = f", which closes {closed} of the gap to {floor} ({', '.join(noise)})"
     return f"the rms error {_ON[runs[0].kind]} {', '.join(listed)}{share}"
 
 
@@ -308,7 +309,8 @@ def _left_words(d: Diagnosis) -> str:
         if not np.isfinite(left):
             return f"The simulation of {name} fails on these records."
         scale, of = scale_of(unit, (left,)), SYMBOLS.get(name, name)
-        noise = f" for a noise of {scale.text(d.floor[j])}" if j < len(d.floor) else ""
+        floor = " for a noise of {}" if d.of_series else ", of which {} is new in each sample"
+        noise = floor.format(scale.text(d.floor[j])) if j < len(d.floor) else ""
         listed.append(f"{scale.text(left)} in {of}{noise}")
     tau = f" τ = {d.tau_said[0]}." if d.tau_said[0] and d.lag_known else ""
     return f"The rms error {_ON[runs[0].kind]} is {'; '.join(listed)}.{tau}"

@@ -46,6 +46,7 @@ from comparisons.missing_effect.systems.records import Records, check_run, runs_
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
+from surge_core.rounding import significant
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
@@ -436,8 +437,8 @@ def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
     return [
         "With start and parameters fitted to a check record itself the same model leaves less of "
         f"its error: {', '.join(left)}. The rest is its start, which its first rows do not show "
-        "well, what differs between the records, or what the model still lacks: the training "
-        "records cannot tell."
+        "well, what differs between the records, or what the model still lacks: these figures "
+        "do not separate the three."
     ]
 
 
@@ -459,9 +460,9 @@ def _remarks(
         out.append(left_words(left, bool(missing)))
     elif not (missing or base.fit.failed) and left.ratio > COLOURED:
         out.append(
-            f"The error is {left.ratio:.1f} times what is new in each sample. Noise that goes on "
-            "from sample to sample does that, and so does a disturbance that no input shows: these "
-            "records do not tell which."
+            f"The error is {significant(left.ratio, 3)} times what is new in each sample. Noise "
+            "that goes on from sample to sample does that, and so does a disturbance that was not "
+            "measured: these records do not separate the two."
         )
     if base.fit.failed:
         out.append(

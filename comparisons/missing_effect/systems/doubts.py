@@ -35,6 +35,7 @@ from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
+from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
 # Effects that are another one with something more, whether or not that other one competes.
@@ -161,7 +162,7 @@ def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
     clear = before > CLEAR_OF_NOISE * floor
     gap, left = before**2 - floor**2, stays**2 - floor**2
     if clear.any() and (left > (1.0 - LEAST_CLOSED) * gap)[clear].all():
-        return ["it closes less than a quarter of the gap to the noise on check records"]
+        return ["it closes less than a quarter of what can be closed on check records"]
     return []
 
 
@@ -245,13 +246,13 @@ def left_words(left: Leftover, named: bool) -> str:
             else ""
         )
         return (
-            f"{lead}omething is missing that nothing here fits: the error is {left.ratio:.1f} "
-            f"times what is new in each sample{share}{follows}."
+            f"{lead}omething is missing that nothing here fits: the error is "
+            f"{significant(left.ratio, 3)} times what is new in each sample{share}{follows}."
         )
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "
         f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
-        "something missing that no input shows."
+        "something missing that inputs and states do not foretell."
     )
 
 
