@@ -25,6 +25,7 @@ from comparisons.missing_effect.results import (
     MissingEffect,
     ParameterRow,
 )
+from comparisons.missing_effect.runs import rms
 from comparisons.missing_effect.search import verdict_of
 from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
@@ -82,7 +83,7 @@ def concluded(
         missing=tuple(missing),
         parameters=_parameters((before, earlier), (after, covariance)),
         unavailable={},
-        gap=Gap(_rms(left[0][held]), _rms(left[1][held]), floor_rms or noise.sigma),
+        gap=Gap(float(rms(left[0][held])), float(rms(left[1][held])), floor_rms or noise.sigma),
         tau_by_alias_s=_tau_by_alias(final, sets, after),
         before=before,
         after=after,
@@ -193,10 +194,6 @@ def _evidence_numbers(candidate: LagCandidate) -> dict[str, float]:
         "score": e.score,
         **({"share": e.share} if np.isfinite(e.share) else {}),
     }
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def fitted_parameters(

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from comparisons.missing_effect.runs import rms
 from comparisons.missing_effect.where_rows import (
     BandRow,
     Cell,
@@ -82,12 +83,12 @@ def where_of(given: Residuals) -> Where:
     return Where(given, time, frequency, flow, direction, line, background, looks, bound)
 
 
-def _held_back(values: FloatArray, scored: BoolArray, rms: float) -> FloatArray:
+def _held_back(values: FloatArray, scored: BoolArray, floor_rms: float) -> FloatArray:
     """Return a residual whose outliers are held at four scales where its noise is known."""
-    if not math.isfinite(rms):
+    if not math.isfinite(floor_rms):
         return values
     own = MAD_TO_SIGMA * float(np.median(np.abs(values[scored])))
-    limit = OUTLIER_SCALES * max(rms, own)
+    limit = OUTLIER_SCALES * max(floor_rms, own)
     return np.clip(values, -limit, limit)
 
 
@@ -113,7 +114,7 @@ def _time_row(
     own = rows[np.isfinite(given.measured[rows])]
     name = given.record_names[int(given.record[rows[0]])]
     edges = float(given.time_s[rows[0]]), float(given.time_s[rows[-1]]) + given.period_s
-    rms, left = _rms(before[own]), _rms(after[own])
+    was, left = float(rms(before[own])), float(rms(after[own]))
     mean = float(np.mean(before[own])) if own.size else math.nan
     excess = z_mean = z_variance = math.nan
     if math.isfinite(given.floor_rms) and own.size >= FEWEST_IN_BIN:
@@ -126,9 +127,9 @@ def _time_row(
             squares = (innovations / size) ** 2
             spread = max(float(np.var(squares)) / max(float(np.mean(squares)) ** 2, 1e-300), 2.0)
             z_variance = power_z(float(np.mean(squares)), squares.size * 2.0 / spread)
-        excess = math.sqrt(max(rms**2 - given.floor_rms**2, 0.0))
+        excess = math.sqrt(max(was**2 - given.floor_rms**2, 0.0))
         z_mean = float(np.mean(held[own])) / stderr
-    return TimeRow(name, *edges, own.size, rms, left, mean, excess, z_mean, z_variance)
+    return TimeRow(name, *edges, own.size, was, left, mean, excess, z_mean, z_variance)
 
 
 def _innovations(given: Residuals, held: FloatArray, rows: IntArray) -> tuple[FloatArray, float]:
@@ -270,7 +271,3 @@ def _ranges(signal: FloatArray, scored: BoolArray) -> list[tuple[float, float, B
 
 def _mean(values: FloatArray) -> float:
     return float(np.mean(values))
-
-
-def _rms(values: FloatArray) -> float:
-    return math.sqrt(float(np.mean(values**2))) if values.size else math.nan
