@@ -27,6 +27,12 @@ def whole_number(name: str, value: object, low: int, high: int) -> None:
         raise InputError(name, expected=f"a whole number from {low} to {high}", found=repr(value))
 
 
+def require(good: bool, where: str, expected: str, found: str, remedy: str = "") -> None:
+    """Refuse input in which something is not good."""
+    if not good:
+        raise InputError(where, expected=expected, found=found, remedy=remedy)
+
+
 class InputError(ValueError):
     """Input that cannot be used, in one sentence a user can act on.
 

@@ -24,7 +24,7 @@ from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import alias_sets, search, verdict_of
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.threads import one_thread
 
 MOST_EFFECTS = 3
@@ -69,11 +69,9 @@ def diagnose(
     InputError
         When the records do not go together or hold too few rows.
     """
-    if not 1 <= degree <= 8:
-        raise InputError("degree", expected="1 to 8", found=f"{degree}")
+    require(1 <= degree <= 8, "degree", "1 to 8", f"{degree}")
     base = powers_of_phi(degree) if terms is None else tuple(terms)
-    if most_effects < 1:
-        raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
+    require(most_effects >= 1, "most_effects", "1 or more", f"{most_effects}")
     if records and all(map(is_whole, records)):
         return diagnose_whole_runs(
             records,

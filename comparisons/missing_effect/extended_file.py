@@ -26,7 +26,7 @@ from comparisons.missing_effect.extended_lag import MOST_EFFECTS, AddedEffect, E
 from comparisons.missing_effect.lag_data import FrozenReferences
 from comparisons.missing_effect.ports import n_powers
 from comparisons.results import FittedLag, is_known_term
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 
 EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
 EXTENDED_FORMAT = ModelFormat(
@@ -50,7 +50,7 @@ def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     for name, model in models.items():
         unfitted = [added.name for added in model.effects if not added.fitted]
         expected, found = "effects that were fitted", ", ".join(unfitted)
-        _require(not unfitted, f"models.{name}", expected, f"{found}, added and not fitted yet")
+        require(not unfitted, f"models.{name}", expected, f"{found}, added and not fitted yet")
     save_models(models, path, form=EXTENDED_FORMAT)
 
 
@@ -115,16 +115,16 @@ class _SavedEffect(Saved):
         effect = known[self.effect]
         found = ", ".join(f"{row.name} [{row.unit}]" for row in self.parameters)
         own = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
-        _require(found == own, f"{where}.parameters", own, found)
+        require(found == own, f"{where}.parameters", own, found)
         values = tuple(row.value for row in self.parameters)
         for number, (value, p) in enumerate(zip(values, effect.parameters, strict=True), 1):
             at, bounds = f"{where}.parameters[{number}].value", f"from {p.low:g} to {p.high:g}"
             whole = p.name != "intervals" or value.is_integer()
-            _require(whole and p.low <= value <= p.high, at, f"{p.name} {bounds}", f"{value:g}")
+            require(whole and p.low <= value <= p.high, at, f"{p.name} {bounds}", f"{value:g}")
         errors = tuple(row.stderr for row in self.parameters)
         added = AddedEffect(effect, values, errors, tuple(self.coefficients))
         n, found = _n_columns(where, added, terms), str(len(self.coefficients))
-        _require(found == str(n), f"{where}.coefficients", f"{n} of {added.name}", found)
+        require(found == str(n), f"{where}.coefficients", f"{n} of {added.name}", found)
         return added
 
 
@@ -155,10 +155,10 @@ class _SavedExtended(SavedModel):
         names = tuple(term.name for term in self.terms)
         unknown = [name for name in names if not is_known_term(name)]
         at, expected = f"{where}.terms", "powers of φ or other known terms"
-        _require(bool(names) and not unknown, at, expected, ", ".join(unknown) or "none")
+        require(bool(names) and not unknown, at, expected, ", ".join(unknown) or "none")
         effects = [entry.effect for entry in self.effects]
         once = len(set(effects)) == len(effects)
-        _require(once, f"{where}.effects", "each effect once", ", ".join(effects))
+        require(once, f"{where}.effects", "each effect once", ", ".join(effects))
         return ExtendedLag(
             FittedLag(
                 target=self.target,
@@ -177,11 +177,6 @@ class _SavedExtended(SavedModel):
         )
 
 
-def _require(good: bool, where: str, expected: str, found: str) -> None:
-    if not good:
-        raise InputError(where, expected=expected, found=found)
-
-
 def _n_columns(where: str, added: AddedEffect, terms: Sequence[str]) -> int:
     """Return how many coefficients an effect has."""
     if not added.effect.linear or added.effect.episodes:
@@ -190,6 +185,6 @@ def _n_columns(where: str, added: AddedEffect, terms: Sequence[str]) -> int:
         return 1
     intervals, low, high = added.nonlinear
     at, expected = f"{where}.parameters", f"a range of φ for {added.name}, low to high"
-    _require(low < high, at, expected, f"{low:g} to {high:g}")
+    require(low < high, at, expected, f"{low:g} to {high:g}")
     one = shape_columns(np.array([low]), (low, high), int(intervals), n_powers(terms))
     return int(one.shape[1])

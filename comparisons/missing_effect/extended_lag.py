@@ -20,7 +20,7 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.ports import ages, lag_times, n_powers
 from comparisons.missing_effect.quantities import numbers_of
 from comparisons.results import FitRows, FittedLag, evaluate_terms
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Channels of a series that an effect may need; the others follow from φ.
@@ -169,9 +169,9 @@ class ExtendedLag:
         """
         found = find_effect(effect) if isinstance(effect, str) else effect
         there = {added.name for added in self.effects}
-        if found.port == "noise" or found.name in there or len(there) == MOST_EFFECTS:
-            expected = f"one on a port of the model that it lacks, and at most {MOST_EFFECTS} in it"
-            raise InputError("effect", expected=expected, found=found.name)
+        fits = found.port != "noise" and found.name not in there and len(there) < MOST_EFFECTS
+        expected = f"one on a port of the model that it lacks, and at most {MOST_EFFECTS} in it"
+        require(fits, "effect", expected, found.name)
         unknown = (math.nan,) * len(found.parameters)
         return replace(self, effects=(*self.effects, AddedEffect(found, unknown, unknown)))
 
@@ -222,12 +222,9 @@ class ExtendedLag:
         acting = [one for one in self.effects if one.fitted and not one.effect.episodes]
         for added in acting:
             needed = added.effect.needs
-            if needed in CHANNELS and getattr(record, needed) is None:
-                raise InputError(
-                    record.source,
-                    expected=f"the column {needed}, which {added.name} needs",
-                    found="none",
-                )
+            known = needed not in CHANNELS or getattr(record, needed) is not None
+            expected = f"the column {needed}, which {added.name} needs"
+            require(known, record.source, expected, "none")
         data = replace(load_data([on_segments(record, record.segment)]), references=self.references)
         nonlinear = [np.log([self.time_constant_s]), *(added.nonlinear for added in acting)]
         groups = {added.name: np.asarray(added.coefficients) for added in acting}

@@ -19,7 +19,7 @@ from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import block_rows
 from comparisons.missing_effect.planting import Planter
 from comparisons.missing_effect.quantities import size_words, symbol
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.threads import one_thread
 
 # Share of the trials in which an effect of its limit is named.
@@ -221,13 +221,11 @@ def planted_limits(
     """
     from joblib import Parallel, delayed
 
-    if trials < 1 or jobs < 1:
-        raise InputError("trials, jobs", expected="at least 1", found=f"{trials}, {jobs}")
+    require(min(trials, jobs) >= 1, "trials, jobs", "at least 1", f"{trials}, {jobs}")
     begin = time.perf_counter()
     known = {effect.name: effect for effect in diagnosis.catalogue}
     for name in effects or ():
-        if name not in known:
-            raise InputError("effects", expected=f"of {', '.join(known)}", found=repr(name))
+        require(name in known, "effects", f"of {', '.join(known)}", repr(name))
     wanted = [known[name] for name in effects or known]
     if diagnosis.whole_runs:
         return Limits(_of_twins(diagnosis, wanted), 1.0, 0, 0, 0.0, whole_runs=True)

@@ -8,7 +8,7 @@ from importlib.resources import files
 
 from comparisons.missing_effect.catalogue.workings import WORKINGS
 from comparisons.missing_effect.effect import Effect, Parameter
-from surge_core.errors import InputError
+from surge_core.errors import require
 
 __all__ = ["CATALOGUE", "FLOW_NOISE", "find_effect"]
 
@@ -45,6 +45,5 @@ def find_effect(name: str) -> Effect:
         For an unknown name.
     """
     known = {effect.name: effect for effect in (*CATALOGUE, FLOW_NOISE)}
-    if name not in known:
-        raise InputError("effect", expected=f"one of {', '.join(known)}", found=repr(name))
+    require(name in known, "effect", f"one of {', '.join(known)}", repr(name))
     return known[name]

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.types import BoolArray, FloatArray
 
 FEWEST_ROWS = 40
@@ -81,9 +81,7 @@ class Experiment:
 
     def require(self, good: bool, what: str, expected: str, found: str, remedy: str = "") -> None:
         """Refuse the run, by its file or name and what in it, unless something is good."""
-        if not good:
-            at = f"{self.origin or self.name}: {what}"
-            raise InputError(at, expected=expected, found=found, remedy=remedy)
+        require(good, f"{self.origin or self.name}: {what}", expected, found, remedy)
 
     @property
     def n_samples(self) -> int:

@@ -18,7 +18,7 @@ from classic_ml.io.formats import open_stored
 from classic_ml.series import uniform_period_s
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
 TIMES = ("time_s", "t")
@@ -75,13 +75,13 @@ def read_experiment(
     clocks = [name for name in TIMES if name in columns]
     found = "both" if clocks else f"columns {', '.join(columns) or 'of other names'}"
     expected = "one column of time in seconds, 'time_s' or 't'"
-    _require(len(clocks) == 1, str(file), expected, found)
+    require(len(clocks) == 1, str(file), expected, found)
     time_s = columns.pop(clocks[0])
     n = time_s.size
-    _require(n >= FEWEST_ROWS, f"{file}: rows", f"at least {FEWEST_ROWS}", f"{n}")
+    require(n >= FEWEST_ROWS, f"{file}: rows", f"at least {FEWEST_ROWS}", f"{n}")
     odd = {key: values.size for key, values in columns.items() if values.size != n}
     for key, size in odd.items() if wanted is not None else ():
-        _require(False, f"{file}: {key}", f"{n} values, as many as of time", f"{size}")
+        require(False, f"{file}: {key}", f"{n} values, as many as of time", f"{size}")
     kept = {key: values for key, values in columns.items() if key not in odd}
     period_s = _period(f"{file}: {clocks[0]}", time_s)
     run = Experiment(
@@ -134,13 +134,8 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     found = f"several models: {', '.join(models.values())}" if models else "no Model in it"
     good = name == "model" or len(models) == 1
     expected, remedy = "a variable 'model' that is a Model", "write model = Model(...)"
-    _require(good, str(file), expected, found, remedy)
+    require(good, str(file), expected, found, remedy)
     return space[name]  # type: ignore[no-any-return]
-
-
-def _require(good: bool, where: str, expected: str, found: str, remedy: str = "") -> None:
-    if not good:
-        raise InputError(where, expected=expected, found=found, remedy=remedy)
 
 
 def _require_file(file: Path, expected: str) -> None:
@@ -148,7 +143,7 @@ def _require_file(file: Path, expected: str) -> None:
     found = "a folder" if file.is_dir() else "" if file.is_file() else "no such file"
     if not found and file.stat().st_size == 0:
         found = "an empty file"
-    _require(not found, str(file), expected, found)
+    require(not found, str(file), expected, found)
 
 
 @contextmanager
@@ -198,7 +193,7 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
     how: Any = {"header": None, "encoding": "utf-8-sig", "skipinitialspace": True}
     with _parsed(file, "a table as UTF-8 text"):
         names = [str(name).strip() for name in pd.read_csv(file, nrows=1, **how).iloc[0]]
-    _require(
+    require(
         len(names) == len(set(names)) > 1,
         f"{file}: header",
         "names of columns separated by commas, each once",
@@ -216,7 +211,7 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
         words = np.flatnonzero(numbers.isna() & table[name].notna())
         for row in words[:1]:
             found = f"'{str(table[name][row])[:40]}' in row {row + 1}"
-            _require(False, f"{file}: {name}", "numbers", found)
+            require(False, f"{file}: {name}", "numbers", found)
         out[name] = numbers.to_numpy(dtype=np.float64)
     return out
 
@@ -251,7 +246,7 @@ def _read_stored(file: Path, wanted: Names) -> Columns:
     with open_stored(file) as table:
         for name in wanted or ():
             found, expected = table.left_aside.get(name), "a vector of numbers, as many as of time"
-            _require(found is None, f"{file}: {name}", expected, str(found))
+            require(found is None, f"{file}: {name}", expected, str(found))
         kept = tuple(n for n in table.names if wanted is None or n in (*TIMES, *wanted))
         blocks = list(table.blocks(kept))
     columns = zip(kept, map(np.concatenate, zip(*blocks, strict=True)), strict=True)
@@ -268,11 +263,11 @@ _READERS = {
 def _period(where: str, time_s: FloatArray) -> float:
     """Return the sample period of a uniform clock; refuse another with its row."""
     for row in np.flatnonzero(~np.isfinite(time_s))[:1]:
-        _require(False, where, "finite times", f"{time_s[row]} in row {row + 1}")
+        require(False, where, "finite times", f"{time_s[row]} in row {row + 1}")
     n, period_s = time_s.size, uniform_period_s(time_s, where)
     off = np.abs(time_s - (time_s[0] + period_s * np.arange(n))) / period_s
     row = int(np.argmax(off))
-    _require(
+    require(
         off[row] <= LARGEST_JITTER,
         where,
         f"a uniform clock within {LARGEST_JITTER:g} of its period, {period_s:.6g} s",

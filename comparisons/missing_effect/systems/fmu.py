@@ -23,7 +23,7 @@ import numpy as np
 from numba import carray, njit  # type: ignore[attr-defined]
 
 from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at, numbers_at
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
 # From this status on a call of a unit has failed: discard, error, fatal.
@@ -41,7 +41,7 @@ def unit_parts(
     """
     fmpy = _fmpy()
     file = Path(path)
-    _require(file.is_file(), file, "a functional mock-up unit", "no such file")
+    require(file.is_file(), str(file), "a functional mock-up unit", "no such file")
     with _said_by(file, "a functional mock-up unit (.fmu)"):
         described = fmpy.read_model_description(str(file), validate=False)
     _check_kind(file, described)
@@ -82,9 +82,9 @@ def _fmpy() -> ModuleType:
 
 def _check_kind(file: Path, described: Any) -> None:
     kind = "co-simulation" if described.coSimulation is not None else "another kind"
-    _require(
+    require(
         described.fmiMajorVersion in (2, 3) and described.modelExchange is not None,
-        file,
+        str(file),
         "a unit for model exchange, of FMI 2 or 3",
         f"{kind}, of FMI {described.fmiVersion}",
         "export it for model exchange, or give Model.from_simulate a function that runs it",
@@ -92,13 +92,8 @@ def _check_kind(file: Path, described: Any) -> None:
     indicators, clocked = described.numberOfEventIndicators, len(described.clockedStates)
     expected = "a unit without events, whose states run continuously"
     found = f"{indicators} event indicators, {clocked} clocked states"
-    _require(not indicators and not clocked, file, expected, found)
-    _require(bool(described.derivatives), file, expected, "no states")
-
-
-def _require(good: bool, at: object, expected: str, found: str, remedy: str = "") -> None:
-    if not good:
-        raise InputError(str(at), expected=expected, found=found, remedy=remedy)
+    require(not indicators and not clocked, str(file), expected, found)
+    require(bool(described.derivatives), str(file), expected, "no states")
 
 
 @contextmanager
@@ -121,7 +116,7 @@ def _chosen(file: Path, part: str, names: Names, known: Mapping[str, Any]) -> di
     reals = [n for n, v in known.items() if v.type in ("Real", "Float64")]
     expected = "real variables of the unit: " + ", ".join(reals[:20])
     for name in pairs.values():
-        _require(name in reals, f"{file}: {part}", expected, f"'{name}'")
+        require(name in reals, f"{file}: {part}", expected, f"'{name}'")
     return {own: known[name] for own, name in pairs.items()}
 
 

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from surge_core.display import Displayed, Field, Grid, Sheet
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 
 BetweenSamples = Literal["auto", "held", "linear", "cubic", "band"]
 # What states and inputs may be, from a displacement to a temperature and a pressure.
@@ -430,5 +430,4 @@ def _listed(names: Any) -> str:
 
 
 def _require(good: bool, where: str, expected: str, found: str) -> None:
-    if not good:
-        raise InputError(f"model: {where}", expected=expected, found=found)
+    require(good, f"model: {where}", expected, found)

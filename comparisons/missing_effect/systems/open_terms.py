@@ -12,7 +12,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Number, SystemEffect
 from comparisons.missing_effect.systems.roles import PLACES, always, fixed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 
 Expression = Callable[[Model], Callable[..., float]]
 # A name in a term that is no function's.
@@ -123,10 +123,7 @@ def _expression(written: str) -> Expression:
         groups = (("x", model.states), ("u", model.inputs), ("p", model.params))
         homes = {name: f"{group}.{name}" for group, names in groups for name in names}
         for name in NAME.findall(text):
-            if name not in homes:
-                raise InputError(
-                    f"library: {written}", expected=", ".join(homes), found=f"'{name}'"
-                )
+            require(name in homes, f"library: {written}", ", ".join(homes), f"'{name}'")
         body = NAME.sub(lambda found: homes[found[0]], text)
         # Only names of the model, numbers and the functions above reach this source.
         made: Callable[..., float] = eval(f"lambda t, x, u, p: {body}", dict(_FUNCTIONS))

@@ -14,7 +14,7 @@ from comparisons.missing_effect.systems.metric import correlations
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rates_of
 from comparisons.missing_effect.systems.structure import Run
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.types import FloatArray
 
 # The last third of each record is held out of the naming.
@@ -48,17 +48,16 @@ class Records:
     def of(cls, model: Model, experiments: Sequence[Experiment]) -> Records:
         """Cut training records; refuse an empty list, short records or unlike rates."""
         model = model.with_record_parameters()
-        if not experiments:
-            raise InputError("fit", expected="at least one experiment", found="none")
+        require(bool(experiments), "fit", "at least one experiment", "none")
         whole = tuple(e.of(model) for e in experiments)
         periods = sorted({e.sample_period_s for e in whole})
-        if periods[-1] > periods[0] * (1.0 + 1e-6):
-            raise InputError(
-                "fit",
-                expected="one sample rate",
-                found=f"periods from {periods[0]:g} to {periods[-1]:g} s",
-                remedy="resample the experiments to one rate",
-            )
+        require(
+            periods[-1] <= periods[0] * (1.0 + 1e-6),
+            "fit",
+            "one sample rate",
+            f"periods from {periods[0]:g} to {periods[-1]:g} s",
+            "resample the experiments to one rate",
+        )
         for e in whole:
             enough = e.n_samples >= FEWEST_ROWS
             e.require(enough, "rows", f"at least {FEWEST_ROWS}", f"{e.n_samples}")

@@ -22,7 +22,7 @@ from comparisons.missing_effect.systems.places import AT_INPUTS, AT_OUTPUTS, Pla
 from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure, laid
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.types import FloatArray
 
 # Points a sample on which a run is kept.
@@ -280,10 +280,6 @@ def _simulated(
     values = np.asarray(found, dtype=np.float64)
     if values.ndim == 1:
         values = values[:, None]
-    if values.shape != shape:
-        raise InputError(
-            "model: simulate",
-            expected=f"outputs of shape {shape}, as many rows as times",
-            found=f"shape {values.shape}",
-        )
+    expected = f"outputs of shape {shape}, as many rows as times"
+    require(values.shape == shape, "model: simulate", expected, f"shape {values.shape}")
     return values
