@@ -143,8 +143,7 @@ class Bench(System[Effect, Fit]):
 
     def everywhere(self) -> Bench:
         """Return the bench with all rows fitted."""
-        part = np.zeros(self.data.n_samples, dtype=np.int8)
-        data = self.data.with_parts(part).over_all_phi()
+        data = self.data.all_fitted().over_all_phi()
         start = self.fit.structure.adapted(data, self.fit.nonlinear)
         fit = fit_structure(self.fit.structure, data, self.metric, [start])
         return replace(self, data=data, fit=fit)

@@ -179,17 +179,12 @@ class Effect:
             return f"needs a {self.needs} that changes"
         return None
 
-    def starts(self, data: LagData, amplitude: float = 0.0) -> FloatArray:
-        """Return the values of ``nonlinear`` that a search starts from, one row a start.
+    def starts(self, data: LagData) -> FloatArray:
+        """Return the values of ``nonlinear`` that a search of some records starts from.
 
-        Parameters
-        ----------
-        data : LagData
-            The records.
-        amplitude : float
-            Where the amplitude is one of them.
+        One row a start; where the amplitude is one of them it starts at zero.
         """
         shapes = np.atleast_2d(self.grid(data))
         if self.linear:
             return shapes
-        return np.column_stack([np.full(shapes.shape[0], amplitude), shapes])
+        return np.column_stack([np.zeros(shapes.shape[0]), shapes])

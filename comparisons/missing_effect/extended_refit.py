@@ -22,7 +22,7 @@ from comparisons.missing_effect.extended_lag import (
 )
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
 from comparisons.missing_effect.lag_curves import bent_ports
-from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric, weights_of
@@ -101,8 +101,7 @@ def refitted(
 
 def _fitted_data(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> LagData:
     """Return the scored rows of records, all of them to be fitted."""
-    data = load_data(records)
-    data = replace(data, part=np.full(data.n_samples, TRAIN, dtype=np.int8))
+    data = load_data(records).all_fitted()
     if until_s is not None:
         # The rows stand in the order of the records' clocks.
         order = np.argsort([float(record.time_s[0]) for record in records], kind="stable")

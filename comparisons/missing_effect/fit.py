@@ -128,10 +128,6 @@ class Structure:
                 out[list(self.slots[effect.name])] = effect.adapted(data, own)
         return out
 
-    def respond(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
-        """Return the answer to every linear coefficient, at the samples, a column each."""
-        return respond(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))
-
     def respond_decay(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
         """Return what is left, at each sample, of a start of its run that is off by one."""
         return decay_of(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))

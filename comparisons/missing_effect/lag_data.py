@@ -215,9 +215,9 @@ class LagData:
         """Return the same inputs with another measured coefficient."""
         return replace(self, measured=measured)
 
-    def with_parts(self, part: Sequence[int] | NDArray[np.int8]) -> LagData:
-        """Return the same rows, split otherwise."""
-        return replace(self, part=np.asarray(part, dtype=np.int8))
+    def all_fitted(self) -> LagData:
+        """Return the same rows, all of them to be fitted."""
+        return replace(self, part=np.full(self.n_samples, TRAIN, dtype=np.int8))
 
 
 def laid_out(runs: Sequence[Run], every: int) -> dict[str, Any]:

@@ -108,12 +108,12 @@ def readings_of(records: Sequence[CoefficientSeries]) -> list[RecordReading]:
     ]
 
 
-def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
+def reading_of(record: CoefficientSeries) -> RecordReading:
     """Read a record from raw counts; its stated window, if there is one, holds."""
     signals = rake_signals_of(record)
     assert signals is not None
     stalled = None if record.stalled is None else np.asarray(record.stalled, dtype=np.bool_)
-    return RecordReading.of(signals, window_of(record), degree, stalled)
+    return RecordReading.of(signals, window_of(record), stalled=stalled)
 
 
 def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:

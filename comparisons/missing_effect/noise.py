@@ -174,10 +174,6 @@ class FlowNoise:
     slope: FloatArray
     ratio: float
 
-    def on(self, rows: Index) -> FlowNoise:
-        """Return the same for some of the rows."""
-        return replace(self, slope=self.slope[rows])
-
     def whitened(
         self, columns: FloatArray, weight: FloatArray, runs: Index
     ) -> tuple[FloatArray, float]:
@@ -203,12 +199,9 @@ class Metric:
 
     def on(self, rows: Index) -> Metric:
         """Return the metric of some of the rows."""
-        return Metric(
-            self.sigma,
-            self.ar,
-            None if self.weight is None else self.weight[rows],
-            None if self.flow is None else self.flow.on(rows),
-        )
+        weight = None if self.weight is None else self.weight[rows]
+        flow = self.flow and replace(self.flow, slope=self.flow.slope[rows])
+        return replace(self, weight=weight, flow=flow)
 
     def rows(self, data: LagData) -> FloatArray:
         """Return the factor of each sample: 0 where it or one before it is not scored."""

@@ -261,8 +261,7 @@ class _Rivals:
     @classmethod
     def of(cls, diagnosis: LagDiagnosis, winner: str, members: Sequence[Effect]) -> _Rivals:
         metric, after = diagnosis.rounds[-1].bench.metric, diagnosis.after
-        n_samples = diagnosis.data.n_samples
-        data = diagnosis.data.with_parts(np.full(n_samples, TRAIN, dtype=np.int8))
+        data = diagnosis.data.all_fitted()
         effect = next(e for e in after.structure.effects if e.name == winner)
         without = refitted_on(after.without(effect), data, metric)
         prober = Prober(without, data, metric)

@@ -269,7 +269,7 @@ def plain_bench(
 
     Weighing them by their colour would fit what is fast, where the model of the lag is worst.
     """
-    everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
+    everything = data.all_fitted()
     structure, metric = Structure(terms), Metric(float(np.std(data.measured)) / 30.0)
     log_tau = float(np.mean([np.log(one.fit().tau_s) for one in readings]))
     start = np.array([log_tau])

@@ -12,6 +12,7 @@ from comparisons.missing_effect import CATALOGUE, Effect, find_effect
 from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.ports import respond
 from comparisons.rig.coefficient_effects import EFFECTS
 from surge_core.errors import InputError
 
@@ -39,7 +40,9 @@ def data() -> LagData:
 
 def starts_of(effect: Effect, data: LagData) -> np.ndarray:
     """The starts of an effect; a ripple takes its frequency from a spectrum, here from us."""
-    starts = effect.starts(data, SIZES.get(effect.name, 0.0))
+    starts = effect.starts(data)
+    if not effect.linear:
+        starts[:, 0] = SIZES[effect.name]
     if effect.episodes:
         starts[:, 0] = 13.0
     return starts
@@ -48,9 +51,9 @@ def starts_of(effect: Effect, data: LagData) -> np.ndarray:
 def answer(effect: Effect, values: np.ndarray, data: LagData, amplitudes: float) -> np.ndarray:
     structure = Structure(CUBIC, (effect,))
     nonlinear = np.concatenate([[np.log(TAU_S)], values])
-    n_columns = structure.respond(data, nonlinear).shape[1]
-    own = np.full(n_columns - BETA.size, amplitudes)
     ports = structure.ports(data, nonlinear)
+    n_columns = respond(ports, data, TAU_S).shape[1]
+    own = np.full(n_columns - BETA.size, amplitudes)
     n_driven = ports.driven.shape[1] - BETA.size
     coefficients = np.concatenate([BETA, own[:n_driven], own[n_driven:]])
     return structure.output(data, nonlinear, coefficients)
@@ -71,7 +74,7 @@ def test_amplitude_zero_is_the_model_without_it_and_a_visible_one_is_not(
     effect: Effect, data: LagData
 ) -> None:
     plain = base_answer(data)
-    for values in effect.starts(data, 0.0) if not effect.linear else starts_of(effect, data):
+    for values in effect.starts(data) if not effect.linear else starts_of(effect, data):
         assert np.allclose(answer(effect, values, data, 0.0), plain, rtol=0.0, atol=1e-12)
     for values in starts_of(effect, data):
         bounds = [(p.low, p.high) for p in effect.nonlinear]

@@ -47,7 +47,7 @@ ADDED = {
 def plain_lag(records: list[CoefficientSeries]) -> ExtendedLag:
     """Fit the lag alone to all rows; effects are then added to it by name, no search involved."""
     data = load_data(records)
-    everything = data.with_parts(np.zeros(data.n_samples, dtype=np.int8))
+    everything = data.all_fitted()
     metric = Metric(0.01 * float(np.std(data.measured)))
     fit = fit_structure(Structure(TERMS), everything, metric, [np.array([np.log(0.1)])])
     return model_of(fit, Bench(everything, fit, metric, block_rows(data), 1))

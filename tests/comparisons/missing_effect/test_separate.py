@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effect_data import series_of
@@ -60,7 +62,7 @@ def split(data: LagData) -> LagData:
         rows = np.flatnonzero(data.record == record)
         part[rows[: int(0.6 * rows.size)]] = TRAIN
     part[data.record == data.record.max()] = OTHER
-    return data.with_parts(part)
+    return replace(data, part=part)
 
 
 def test_a_delay_and_a_second_pole_part_where_the_flow_is_faster(separated: Separation) -> None:

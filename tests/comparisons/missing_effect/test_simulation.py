@@ -17,6 +17,7 @@ from comparisons.missing_effect.kernels import varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.noise import Metric, projected
+from comparisons.missing_effect.ports import respond
 
 Array = np.ndarray
 CUBIC = ("1", "phi", "phi^2", "phi^3")
@@ -282,7 +283,8 @@ def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_tr
     truth = plain_truth + 0.01 * wave
     episodes = stall_episodes(data, 0.0)
     structure = Structure(CUBIC, (find_effect("rotating_stall_ripple"),))
-    columns = structure.respond(data, np.concatenate([PLAIN, [13.7, 0.0]]))[:, 4:]
+    ports = structure.ports(data, np.concatenate([PLAIN, [13.7, 0.0]]))
+    columns = respond(ports, data, float(np.exp(PLAIN[0])))[:, 4:]
     assert columns.shape == (N, 2 * len(episodes))
     # Sine and cosine of an episode make up its wave, whatever instant they count from.
     own = np.linalg.lstsq(columns, 0.01 * wave, rcond=None)[0]
