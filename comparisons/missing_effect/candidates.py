@@ -323,14 +323,7 @@ def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArra
 
     Where a row turns back just at a threshold, no slope leads over the jump.
     """
-    trials = [start]
-    reach = data.references.phi_range[1] - data.references.phi_range[0]
-    for at in structure.switching:
-        for step in NUDGES:
-            for sign in (-1.0, 1.0):
-                trial = start.copy()
-                trial[at] += sign * step * reach
-                trials.append(trial)
+    trials = [start, *(moved for _, _, moved in structure.beside(data, start, NUDGES))]
     if len(trials) == 1:
         return start
     return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)

@@ -230,17 +230,11 @@ def _over_jumps(fit: Fit, data: LagData, bench: Bench, stderr: FloatArray) -> Fl
     Each of several steps to either side is taken for as many standard errors as it costs.
     """
     out = stderr.copy()
-    reach = data.references.phi_range[1] - data.references.phi_range[0]
     here = solved(fit.structure, data, bench.metric, fit.nonlinear).cost
-    for at in fit.structure.switching:
-        for step in JUMP_STEPS:
-            for sign in (-1.0, 1.0):
-                there = fit.nonlinear.copy()
-                there[at] += sign * step * reach
-                lost = solved(fit.structure, data, bench.metric, there).cost - here
-                # A step that costs half a log-unit is one standard error.
-                error = step * reach / float(np.sqrt(2.0 * max(lost, 0.5)))
-                out[at] = max(out[at], error)
+    for at, step, there in fit.structure.beside(data, fit.nonlinear, JUMP_STEPS):
+        lost = solved(fit.structure, data, bench.metric, there).cost - here
+        # A step that costs half a log-unit is one standard error.
+        out[at] = max(out[at], step / float(np.sqrt(2.0 * max(lost, 0.5))))
     return out
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise, starmap
+from itertools import pairwise, product, starmap
 
 import numpy as np
 from scipy.linalg import qr
@@ -99,6 +99,19 @@ class Structure:
     def in_order(self) -> tuple[Effect, ...]:
         """The effects in the order in which a signal meets them; a ripple last."""
         return tuple(sorted(self.effects, key=lambda e: (PORT_ORDER.index(e.port), e.episodes)))
+
+    def beside(
+        self, data: LagData, start: FloatArray, shares: Sequence[float]
+    ) -> Iterator[tuple[int, float, FloatArray]]:
+        """Yield starts beside one: a threshold, how far it is moved either way, and the start.
+
+        The steps are shares of the range of φ.
+        """
+        low, high = data.references.phi_range
+        for at, share, sign in product(self.switching, shares, (-1.0, 1.0)):
+            moved = start.copy()
+            moved[at] += sign * share * (high - low)
+            yield at, share * (high - low), moved
 
     def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
         """Return the values of one effect out of the vector."""

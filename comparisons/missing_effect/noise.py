@@ -136,15 +136,8 @@ def _with_flow_noise(
     step = 0.3
     bend = (cost(found.x + step)[0] - 2.0 * value + cost(found.x - step)[0]) / step**2
     stderr = 0.5 * float(np.sqrt(variance * np.exp(found.x) / max(bend, 1e-6)))
-    return NoiseModel(
-        plain.sigma,
-        float(np.sqrt(variance)),
-        (),
-        plain.heavy_share,
-        noise_at(found.x),
-        gain,
-        stderr,
-    )
+    flow, innovation = noise_at(found.x), float(np.sqrt(variance))
+    return NoiseModel(plain.sigma, innovation, (), plain.heavy_share, flow, gain, stderr)
 
 
 def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArray | None:

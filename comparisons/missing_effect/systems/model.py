@@ -383,12 +383,12 @@ def _check_params(model: Model) -> None:
 
 
 def _check_options(model: Model) -> None:
-    known = f"states out of {_listed(model.states)}"
+    known = f"states out of {', '.join(model.states)}"
     for part, names in (("exact", model.exact), ("x0", tuple(model.x0))):
         for name in names:
             _require(name in model.states, part, known, f"{name!r}")
     choices, between = get_args(BetweenSamples), model.input_between_samples
-    _require(between in choices, "input_between_samples", _listed(choices), f"{between!r}")
+    _require(between in choices, "input_between_samples", ", ".join(choices), f"{between!r}")
     for name, start in model.x0.items():
         pair = start if isinstance(start, tuple) else (start, 1.0)
         good = len(pair) == 2 and all(map(_is_finite, pair)) and pair[1] > 0.0
@@ -417,16 +417,12 @@ def _check_functions(model: Model) -> None:
             found=f"{type(error).__name__}: {error}",
         ) from error
     for part, got, names in (("rhs", dx, model.states), ("output", y, model.outputs)):
-        expected = f"{len(names)} numbers ({_listed(names)})"
+        expected = f"{len(names)} numbers ({', '.join(names)})"
         _require(len(got) == len(names), part, expected, f"{len(got)}")
 
 
 def _is_finite(value: Any) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
-
-
-def _listed(names: Any) -> str:
-    return ", ".join(str(name) for name in names)
 
 
 def _require(good: bool, where: str, expected: str, found: str) -> None:
