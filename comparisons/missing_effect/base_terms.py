@@ -11,7 +11,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.lag_data import TRAIN
 from comparisons.missing_effect.loading import load_data
 from comparisons.results import is_known_term
-from surge_core.errors import InputError
+from surge_core.errors import require
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,9 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
     else:
         found = _row_terms(fitted, list(until_s.values()))
     terms = tuple(name for name in found if is_known_term(name))
-    if not terms:
-        raise InputError(
-            "--base sindy",
-            expected="a structure with terms such as 1, phi, phi^2 or relu(phi-0.05)",
-            found=", ".join(found) or "none",
-            remedy="--degree N takes the powers of φ",
-        )
+    expected = "a structure with terms such as 1, phi, phi^2 or relu(phi-0.05)"
+    remedy = "--degree N takes the powers of φ"
+    require(bool(terms), "--base sindy", expected, ", ".join(found) or "none", remedy)
     return BaseTerms(terms, tuple(name for name in found if name not in terms))
 
 

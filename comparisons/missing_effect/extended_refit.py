@@ -28,7 +28,7 @@ from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
 from comparisons.results import FitRows, FittedLag
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 121
@@ -47,13 +47,9 @@ def value_of(diagnosis: LagDiagnosis) -> ExtendedLag:
         no model of it.
     """
     for effect in diagnosis.after.structure.effects:
-        if effect.unnamed:
-            raise InputError(
-                "model",
-                expected="effects of the catalogue alone",
-                found=f"the term {effect.name}, which has no name",
-                remedy="it says that something is missing and is no model of it",
-            )
+        found = f"the term {effect.name}, which has no name"
+        remedy = "it says that something is missing and is no model of it"
+        require(not effect.unnamed, "model", "effects of the catalogue alone", found, remedy)
     return model_of(diagnosis.after, replace(diagnosis.rounds[-1].bench, data=diagnosis.data))
 
 
@@ -68,12 +64,9 @@ def refitted(
     data = _fitted_data(records, until_s)
     for added in model.effects:
         missing = added.effect.missing_channel(data)
-        if missing is not None:
-            raise InputError(
-                ", ".join(data.sources),
-                expected=f"records in which {added.name} can be detected",
-                found=f"some without: it {missing}",
-            )
+        expected = f"records in which {added.name} can be detected"
+        without = f"some without: it {missing}"
+        require(missing is None, ", ".join(data.sources), expected, without)
     plain = Metric(model.noise_sigma)
     # The frequency of a ripple is known to one part in the length of a record, and beyond that a
     # search that begins beside it finds another line.

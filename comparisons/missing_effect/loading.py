@@ -26,7 +26,7 @@ from comparisons.missing_effect.lag_data import (
     Run,
     laid_out,
 )
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
@@ -88,13 +88,9 @@ def load_data(records: Sequence[CoefficientSeries]) -> LagData:
             # Whole runs leave out cycles, not the last of them.
             continue
         found = int(np.count_nonzero(data.scored(part)))
-        if found < least:
-            raise InputError(
-                ", ".join(data.sources),
-                expected=f"at least {least} rows {what}",
-                found=f"{found}",
-                remedy="take a longer record or wider segments",
-            )
+        where, expected = ", ".join(data.sources), f"at least {least} rows {what}"
+        remedy = "take a longer record or wider segments"
+        require(found >= least, where, expected, f"{found}", remedy)
     return data
 
 
@@ -146,13 +142,9 @@ def _segments(record: CoefficientSeries) -> _Piece:
         for span in runs_of(record.segment, record.n_samples)
         if record.segment[span.start] > 0 and span.stop - span.start >= MINIMUM_SEGMENT_ROWS
     ]
-    if not spans:
-        raise InputError(
-            record.source,
-            expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows",
-            found="none",
-            remedy="mark the rows to be fitted in the column 'segment'",
-        )
+    expected = f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows"
+    remedy = "mark the rows to be fitted in the column 'segment'"
+    require(bool(spans), record.source, expected, "none", remedy)
     known, amplitudes = _record_signals(record)
     runs = []
     for span in spans:
