@@ -55,6 +55,8 @@ def search(
             here = step.bench
             break
         moved = step.bench.with_winner(step)
+        if moved.failed:
+            break
         if here.found and not is_worth_adding(step, here, moved):
             break
         here = moved

@@ -108,6 +108,7 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
             _left_words(d),
             d.noise_said if d.verdict == "noise_model_wrong" else "",
             d.structure_said,
+            _bound_words(d),
             *map(_sentence, d.remarks),
         ]
         if d.of_series:

@@ -16,7 +16,6 @@ from sindy_surge.text import (
     EquationParts,
     interval95,
     pysindy_equations,
-    write_equation,
 )
 from surge_core.lag import FirstOrderLag
 
@@ -30,13 +29,6 @@ def with_terms(terms: tuple[str, ...], **other: Any) -> EquationParts:
     n = len(terms)
     coef = tuple(0.5 + 0.25 * i for i in range(n))
     return EquationParts(terms, coef, (0.01,) * n, 0.018, 0.0002, **other)
-
-
-def test_text_carries_units_signs_and_the_errors() -> None:
-    text = write_equation(QUADRATIC)
-    assert text.startswith("0.01800(20) s · dψ'/dt + ψ' = 0.350(4) + 1.200(30) φ − 1.90(5) φ²")
-    late = with_terms(("phi",), dead_time_s=0.002, dead_time_stderr_s=0.0001)
-    assert "φ at t − 0.00200(10) s" in write_equation(late)
 
 
 def test_pysindy_strings_are_those_of_the_rate() -> None:

@@ -224,6 +224,7 @@ def _concluded(
         or bool(beyond)
         or bool(badly)
         or left.structured
+        or left.late
         or left.disturbed
     )
     return SystemDiagnosis(
@@ -456,7 +457,7 @@ def _remarks(
             f"With {plain_name(placed.label(model))} the model follows the rows fitted and runs "
             "away on others, so that it is not added: what is missing may resemble it."
         )
-    if not base.fit.failed and not gone and (left.structured or left.disturbed):
+    if not base.fit.failed and not gone and (left.structured or left.late or left.disturbed):
         out.append(left_words(left, bool(missing)))
     elif not (missing or base.fit.failed) and left.ratio > COLOURED:
         out.append(

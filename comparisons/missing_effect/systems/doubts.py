@@ -13,6 +13,7 @@ from comparisons.missing_effect.nulls import (
     SURROGATES,
     Leftover,
     foretold,
+    foretold_late,
     newly_foretold,
 )
 from comparisons.missing_effect.quantities import plain_name
@@ -38,8 +39,11 @@ from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
-# Effects that are another one with something more, whether or not that other one competes.
-REFINED = frozenset(name for effect in SYSTEM_CATALOGUE for name in effect.simple_form_of)
+# Effects that are another one with something more, whether or not that other one competes; a dead
+# zone without a gap is a straight line.
+REFINED = frozenset(name for effect in SYSTEM_CATALOGUE for name in effect.simple_form_of) | {
+    "dead_zone"
+}
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
@@ -249,6 +253,13 @@ def left_words(left: Leftover, named: bool) -> str:
             f"{lead}omething is missing that nothing here fits: the error is "
             f"{significant(left.ratio, 3)} times what is new in each sample{share}{follows}."
         )
+    if left.late:
+        return (
+            f"{lead}omething is missing that nothing here fits: the error, "
+            f"{significant(left.ratio, 3)} times what is new in each sample, follows what the "
+            "inputs did in earlier rows. Dynamics that are missing do that: a mode, a further lag, "
+            "a pipe."
+        )
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "
         f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
@@ -278,11 +289,13 @@ def leftover_of(
         ]
         for runs, fit in ((bench.train, bench.fit), (bench.later, later))
     )
-    p, share, follows, new_p = 1.0, 0.0, "", 1.0
+    p, share, follows, new_p, late_p = 1.0, 0.0, "", 1.0, 1.0
+    entered = [run.experiment.columns(model.input_names) for run in (*bench.train, *bench.later)]
     ratios = bench.fit.rms / np.asarray(metric.sigma)
     for j in range(len(model.outputs)):
+        every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
+        late_p = min(late_p, foretold_late(every, entered, rng))
         if ratios[j] > COLOURED:
-            every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
             new_p = min(new_p, newly_foretold(every, [*fitted, *held_out]))
         found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], held_out, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
@@ -294,6 +307,6 @@ def leftover_of(
         there = answers.of(others)
         if not one.unnamed and there.p_value(SURROGATES) < LEAST_P:
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
-    p, new_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p))
+    p, new_p, late_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p, late_p))
     follows = follows if p < FOLLOWED_P else ""
-    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p)
+    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p, late_p)

@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model
-from comparisons.missing_effect.nulls import Leftover, foretold, newly_foretold
+from comparisons.missing_effect.nulls import (
+    LATE_P,
+    Leftover,
+    foretold,
+    foretold_late,
+    newly_foretold,
+)
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
@@ -109,7 +116,7 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
 def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
     """Errors that have nothing to do with the signals are called foretold as often as stated."""
     cycle = np.sin(2.0 * np.pi * np.arange(600)[:, None] / 97.0 + [0.0, 1.2, 2.0])
-    p, newly = [], []
+    p, newly, late = [], [], []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         slow = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
@@ -117,8 +124,9 @@ def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
         error = slow_signal(rng, 600)
         p.append(foretold([error], [given], ("a", "b", "c"), rng)[0])
         newly.append(newly_foretold([error], [given]))
+        late.append(foretold_late([error], [given], rng))
     # 60 uniform numbers: 6 are expected below 0.1, sd 2.3, and 0.06 below 0.001.
-    for chances in (p, newly):
+    for chances in (p, newly, late):
         assert np.count_nonzero(np.array(chances) < 0.1) <= 13
         assert np.count_nonzero(np.array(chances) < 0.001) <= 1
 
@@ -132,6 +140,17 @@ def test_errors_that_follow_a_product_are_foretold() -> None:
     assert share > 0.3
     assert follows == "a·b"
     assert Leftover(p, p, share, 1.0).structured
+
+
+def test_errors_of_a_mode_that_is_missing_are_foretold_and_those_in_a_loop_are_not() -> None:
+    rng = np.random.default_rng(6)
+    u, noise = slow_signal(rng, 2000), rng.standard_normal(2000)
+    mode = lfilter([0.0, 0.02], [1.0, -1.9, 0.93], u)
+    error = mode + np.std(mode) * noise
+    assert foretold_late([error], [u[:, None]], rng) < LATE_P
+    slow = lfilter([1.0], [1.0, -0.9], noise)
+    answer = u - 0.5 * np.roll(slow, 1)
+    assert foretold_late([slow], [answer[:, None]], rng) > LATE_P
 
 
 def measured(folder: str, name: str) -> Experiment:
