@@ -11,6 +11,7 @@ import importlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +25,6 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-ENTRY_POINTS = "sindy_surge.methods"
 _ROOM = "comparisons.harness.peers"
 # Other people's methods that come with the package; each asks for its own library when it is made.
 PEERS = {
@@ -182,28 +182,25 @@ class OwnFit:
         value, known = _asked(self.name, own, *arrays, segments=rows.labels.copy())
         return _values(self.name, "one_step", value, rows.phi.size), np.asarray(known, np.bool_)
 
-    @property
-    def target(self) -> str:
-        """The coefficient it predicts."""
-        return "psi_p"
-
     def to_json(self) -> dict[str, Any]:
         """Return the name: what a method holds is its own."""
         return {"estimator": self.name}
 
 
+@cache
+def named_methods() -> dict[str, str]:
+    """Return ``module:Class`` of the methods that have a name: the peers first."""
+    return PEERS | {p.name: p.value for p in entry_points(group="sindy_surge.methods")} | PEERS
+
+
 def _class_of(given: str, called: str) -> Any:
-    path = PEERS.get(given, given)
-    module, colon, name = path.partition(":")
+    module, colon, name = named_methods().get(given, given).partition(":")
     if not colon:
-        points = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
-        if given not in points:
-            raise InputError(
-                f"method {called}",
-                expected=f"module:Class, or one of {', '.join([*PEERS, *points])}",
-                found="neither",
-            )
-        module, _, name = points[given].value.partition(":")
+        raise InputError(
+            f"method {called}",
+            expected=f"module:Class, or one of {', '.join(named_methods())}",
+            found="neither",
+        )
     try:
         return getattr(importlib.import_module(module), name)
     except Exception as error:

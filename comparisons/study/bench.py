@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import friedmanchisquare, studentized_range
 
-from comparisons.harness.methods import ENTRY_POINTS, PEERS, method_name
+from comparisons.harness.methods import method_name, named_methods
 from comparisons.study.rigs import draw_of, rig_names
 from comparisons.study.spec import BUILT_IN, StudySpec, spec_from
 
@@ -86,7 +85,7 @@ def bench_spec(
     # Seeds that a study takes as they are.
     states = np.random.SeedSequence(seed).generate_state(each)
     own = [{"name": name} for name in BUILT_IN]
-    paths = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)} | PEERS
+    paths = named_methods()
     own += [{"name": method_name(text), "class": paths.get(text, text)} for text in methods]
     if naming is not None:
         own.append({"name": "diagnose", "class": naming})

@@ -8,19 +8,18 @@ has. Rigs of other packages come by entry points of the group ``sindy_surge.rigs
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from surge_core.errors import InputError
 
 ENTRY_POINTS = "sindy_surge.rigs"
-_OWN = {
-    "lumped": "comparisons.rig.drawn:draw_record",
-    "distributed": "comparisons.rig_distributed:draw_record",
-}
+_OWN = (
+    EntryPoint("lumped", "comparisons.rig.drawn:draw_record", ENTRY_POINTS),
+    EntryPoint("distributed", "comparisons.rig_distributed:draw_record", ENTRY_POINTS),
+)
 
 
 def rig_names() -> tuple[str, ...]:
@@ -43,11 +42,10 @@ def draw_of(name: str) -> Callable[[int, Path], None]:
     """
     if name not in _rigs():
         raise InputError("rig", expected="one of " + ", ".join(_rigs()), found=repr(name))
-    module, _, function = _rigs()[name].partition(":")
-    draw: Callable[[int, Path], None] = getattr(importlib.import_module(module), function)
+    draw: Callable[[int, Path], None] = _rigs()[name].load()
     return draw
 
 
 @cache
-def _rigs() -> dict[str, str]:
-    return _OWN | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+def _rigs() -> dict[str, EntryPoint]:
+    return {point.name: point for point in (*_OWN, *entry_points(group=ENTRY_POINTS))}

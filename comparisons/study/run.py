@@ -14,6 +14,8 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
 from comparisons.harness.methods import OwnMethod
 from comparisons.study.design import Cell, cells_of, tasks_of
 from comparisons.study.scores import NUMBERS
@@ -207,19 +209,14 @@ def _scores(
     fit: dict[str, Any],
 ) -> dict[str, Any]:
     """Fit one method with a degree and a hold, and return its state, reason and scores by name."""
-    own = OwnMethod(method.import_path, method.name, method.parameters)
     if method.import_path:
+        own = OwnMethod(method.import_path, method.name, method.parameters)
         naming = own.naming()
         if naming is not None:
             names = tuple(naming(records))
             wrong = [name for name in names if name not in made.effects]
             counts = {"firm_names": float(len(names)), "false_names": float(len(wrong))}
             return {"state": "ok", "reason": ", ".join(names), **counts}
-
-    from comparisons.harness.compare import compare_records
-    from comparisons.harness.estimators import default_estimators
-
-    if method.import_path:
         spec = own.spec()
     else:
         spec = {each.name: each for each in default_estimators(**fit)}[method.name]
