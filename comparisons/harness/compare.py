@@ -135,7 +135,7 @@ def _run(
     begin = time.perf_counter()
     estimator = spec.fitted(rows, records, None)
     seconds = time.perf_counter() - begin
-    model = _value(estimator, spec, rows, hold)
+    model = fitted_value(estimator, spec.name, rows, hold)
     extended = getattr(estimator, "extended_", None)
     scored = averaged if averaged and isinstance(estimator, WholeRunFit) else rows
     reconstruction = (extended or model).free_run_over(scored, records)
@@ -177,7 +177,8 @@ def _label(spec: EstimatorSpec, estimator: Any) -> str:
     return spec.label if noise is None else f"{noise} on the rows"
 
 
-def _value(estimator: Any, spec: EstimatorSpec, rows: FitRows, hold: Hold) -> FittedLag:
+def fitted_value(estimator: Any, name: str, rows: FitRows, hold: Hold) -> FittedLag:
+    """Take the numbers out of a fitted estimator of this name, its curve over the φ of the rows."""
     grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
     phi = rows.phi
     if isinstance(estimator, WholeRunFit):
@@ -185,9 +186,7 @@ def _value(estimator: Any, spec: EstimatorSpec, rows: FitRows, hold: Hold) -> Fi
         # simulates through.
         trusted = estimator.trusted_phi
         phi = trusted if trusted.size else phi
-    return FittedLag.from_estimator(
-        estimator, spec.name, rows.target, hold, grid, trusted_range(phi)
-    )
+    return FittedLag.from_estimator(estimator, name, rows.target, hold, grid, trusted_range(phi))
 
 
 def _one_step(
@@ -226,7 +225,8 @@ def _trained(
         return None
     train = rows.part(rows.train)
     estimator = spec.fitted(train, records, _until_s(rows, records))
-    model: LagModel = getattr(estimator, "extended_", None) or _value(estimator, spec, train, hold)
+    extended = getattr(estimator, "extended_", None)
+    model: LagModel = extended or fitted_value(estimator, spec.name, train, hold)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
     return model.free_run_over(scored, records, 2 * scored.labels + ~scored.train)
 

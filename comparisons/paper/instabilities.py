@@ -16,8 +16,8 @@ from classic_ml.io import read_raw
 from classic_ml.reduction import Reduction, reduce_record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.compare import fitted_value
 from comparisons.harness.estimators import psi_breakpoints
-from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
 from comparisons.rig import CASES, RigCase, RigRun, SensorSettings, simulate, write_run
@@ -32,7 +32,6 @@ WRONG_TIME_CONSTANT_S = 0.243
 TRIAL_TIME_CONSTANT_S = 0.018
 # "1.8 < Time < 3.6 Seconds" (Fig 11); no window is stated for the others, so it is found.
 PAPER_WINDOWS_S: Mapping[str, tuple[float, float]] = {"985": (1.8, 3.6)}
-CURVE_POINTS = 121
 # Paper, "Model Identification for 98.5% Corrected Speed": between in-stall and unstalled flow.
 THRESHOLD_LBM_S = 50.0
 # Shares of the paper's machine between which others are drawn: wide enough to move every number
@@ -184,7 +183,4 @@ def fit_paper(
         link_segments=link_segments,
         exact_start=False,
     ).fit(rows.X, rows.measured, segments=rows.labels)
-    grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
-    return FittedLag.from_estimator(
-        model, "classic_ml", target, "zero", grid, trusted_range(rows.phi)
-    )
+    return fitted_value(model, "classic_ml", rows, "zero")
