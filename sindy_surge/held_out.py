@@ -17,7 +17,6 @@ from sindy_surge.linear_problem import (
     LinearProblem,
     Support,
     least_squares,
-    leave_out_moves,
     unit_norms,
     without_nuisances,
 )
@@ -25,7 +24,7 @@ from sindy_surge.preparation import Prepared
 from sindy_surge.search import proposals
 from sindy_surge.segments import Segments, block_slices
 from sindy_surge.selection import PathRow
-from surge_core.leave_out import scatter
+from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IndexArray
 
 # Below 4 samples the trapezoid sums of (1 - z²)⁴ and of its slope are no longer accurate.
@@ -216,7 +215,7 @@ class Trials:
         """Return the mean square error of each block's equations, fitted without that block."""
         if support not in self.errors:
             parameters, design, residual = self.equations.fit(support)
-            moves = leave_out_moves(design, residual, [touched for touched, _ in self.blocks])
+            moves = leave_out(-design, residual, [touched for touched, _ in self.blocks]).moves
             own_errors = np.empty(len(self.blocks))
             for number, (touched, own) in enumerate(self.blocks):
                 error = residual[own] - design[own] @ moves[number]
@@ -390,7 +389,8 @@ def select_by_held_out(
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
     parameters, design, residual = weak.fit(chosen)
-    covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
+    moves = leave_out(-design, residual, [own for _, own in trials.blocks]).moves
+    covariance = scatter(moves)
     covariance += _beyond_cycles(problem, weak, chosen, design, residual)
     return chosen, parameters, covariance, trials
 

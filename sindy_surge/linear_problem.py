@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surge_core.leave_out import leave_out
-from surge_core.types import FloatArray, IndexArray
+from surge_core.types import FloatArray
 
 Support = tuple[int, ...]
 
@@ -97,11 +96,3 @@ def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
     norms = unit_norms(design)
     solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
     return solution
-
-
-def leave_out_moves(
-    design: FloatArray, residual: FloatArray, blocks: Sequence[IndexArray]
-) -> FloatArray:
-    """Return how a fit on columns of unlike size moves without each block, (n_blocks, n)."""
-    norms = unit_norms(design)
-    return leave_out(-design / norms, residual, blocks).moves / norms

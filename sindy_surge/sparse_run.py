@@ -18,10 +18,10 @@ import numpy as np
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.free_run import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import Trials, polynomial_ladder, with_held_out
-from sindy_surge.linear_problem import Support, least_squares, leave_out_moves
+from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.selection import PathRow
 from surge_core.fit_state import FitState
-from surge_core.leave_out import scatter
+from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IndexArray
 
 # Gain is √(squared error saved / rows); by the standard deviation of φ in stall, averaged with the
@@ -216,7 +216,7 @@ def select_on_free_run(
         trials.error(structure)
     fit = equations.solve(chosen)
     # The nuisances are estimated again without each cycle as well.
-    moves = leave_out_moves(fit.joint, fit.residual, blocks)
+    moves = leave_out(-fit.joint, fit.residual, blocks).moves
     n = len(chosen)
     covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
     common_shares = common_tau_share, common_curve_share

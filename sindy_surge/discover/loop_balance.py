@@ -6,7 +6,6 @@ noise of the terms is averaged by the integral.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -88,11 +87,6 @@ def term_values(states: FloatArray, exponents: IntArray) -> FloatArray:
     return monomials(np.column_stack((states, root)), exponents)
 
 
-def block_covariance(columns: FloatArray, left: FloatArray, blocks: Sequence[slice]) -> FloatArray:
-    """Return the covariance of a regression on columns (n_rows, n) by leaving out each block."""
-    return scatter(leave_out(-columns, left, blocks).moves)
-
-
 def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[IntArray, float]:
     """Choose among the first `n_terms` columns, and return them and the number of independent rows.
 
@@ -148,5 +142,5 @@ def fit_balance(
     chosen, _ = best_terms(columns, goal, columns.shape[1])
     own = columns[:, chosen]
     coefficients = least_squares(own, goal)
-    covariance = block_covariance(own, goal - own @ coefficients, blocks)
+    covariance = scatter(leave_out(-own, goal - own @ coefficients, blocks).moves)
     return Balance(coefficients, covariance, _EXPONENTS[chosen])

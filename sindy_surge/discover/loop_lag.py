@@ -13,13 +13,14 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from sindy_surge.discover.loop_balance import FittedSum, best_terms, block_covariance
+from sindy_surge.discover.loop_balance import FittedSum, best_terms
 from sindy_surge.free_run import run_lag
 from sindy_surge.library import hinge_name, monomial_name
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.noise import smoothed
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
+from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IntArray
 
 # Degree of the richest single branch, of a branch while the levels are searched, and the largest
@@ -315,7 +316,8 @@ def _settled(
     moves = []
     for move in 2e-3 * np.eye(at.size):
         moves.append((design(at + move) - design(at - move)) @ beta / 4e-3)
-    spread = block_covariance(np.column_stack((columns, *moves)), left, rows.cycles)
+    jacobian = -np.column_stack((columns, *moves))
+    spread = scatter(leave_out(jacobian, left, rows.cycles).moves)
     errors = np.sqrt(np.diag(spread))[columns.shape[1] :].tolist()
     rng = np.random.default_rng(0)
     again = []
