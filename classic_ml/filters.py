@@ -183,31 +183,21 @@ def phase_delay_s(
 
 
 def filter_channels(
-    record: Record,
-    names: Iterable[str],
-    *,
-    order: int,
-    cutoff_hz: float,
-    phase: str,
-    done: dict[str, tuple[FloatArray, FloatArray]] | None = None,
+    record: Record, names: Iterable[str], *, order: int, cutoff_hz: float, phase: str
 ) -> Record:
     """Filter channels of a record, all with the same filter.
 
     Pressures and temperatures alike: a delay that differs between φ and ψ' reads as dynamics. The
     undershoot of the filter makes no pressure lower than the least that was read: a channel that
-    it takes to zero or below is held there, and the history says so. ``done`` holds what was
-    filtered alike before, and what came out; what is filtered now is added to it.
+    it takes to zero or below is held there, and the history says so.
     """
     if phase == "none":
         return record.after(LedgerEntry("filter", "no low-pass filter", {"phase": phase}))
-    rate, added, done = record.sample_rate_hz, [], {} if done is None else done
+    rate, added = record.sample_rate_hz, []
     held: dict[str, str | int | float | bool] = {}
     for name in names:
         channel = record.channel(name)
-        before, smooth = done.get(name, (None, channel.values))
-        if before is not channel.values:
-            smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
-            done[name] = channel.values, smooth
+        smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
         least = np.min(channel.values, initial=np.inf)
         if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
             held[f"held_{name}"] = int(np.count_nonzero(smooth < least))

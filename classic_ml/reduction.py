@@ -42,7 +42,7 @@ from classic_ml.whole_record.rakes import RakeSignals, rake_signals
 from classic_ml.work.balance import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import BoolArray
 
 # As often as a reduction reports that it has got further.
 STEPS = 5
@@ -51,8 +51,6 @@ STEPS = 5
 REGIMES_DIFFER = 0.2
 # What the window is looked for with.
 AHEAD = ReductionSettings()
-# By channel, what was filtered in the search for the window, and what came out.
-_Filtered = dict[str, tuple[FloatArray, FloatArray]]
 # Of the unfiltered averages, what is laid beside the filtered ones.
 UNFILTERED = {
     "P25_Pa": "P25_unfiltered_Pa",
@@ -148,12 +146,10 @@ def reduce_record(
     chosen = settings if settings is not None else ReductionSettings()
     record, _ = _matched(record, test)
     progress(1)
-    filtered: _Filtered = {}
-    window = _window(record, test, chosen, filtered)
+    window = _window(record, test, chosen)
     record = choose_channels(record.after(window.entry), test, window.rows)
     progress(1)
-    averaged = _averaged(record, test, chosen, filtered)
-    del filtered
+    averaged = _averaged(record, test, chosen)
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     progress(1)
@@ -206,9 +202,7 @@ def _matched(record: Record, test: TestDescription) -> tuple[Record, dict[str, f
     return matched.after(check_near_stall(matched, test, shifts)), shifts
 
 
-def _window(
-    record: Record, test: TestDescription, settings: ReductionSettings, filtered: _Filtered
-) -> _Window:
+def _window(record: Record, test: TestDescription, settings: ReductionSettings) -> _Window:
     """Return the quasi-steady window, and where it came from."""
     for times_s, origin, where in (
         (settings.window_s, "the settings", f"{record.source}: ReductionSettings.window_s"),
@@ -224,7 +218,7 @@ def _window(
     # Looked for in all channels, bridged: which of them can be used depends on the window, and a
     # dropout must not end it.
     bridged = with_faults_bridged(record, test.channel_names)
-    slow = filter_channels(bridged, test.channel_names, done=filtered, **AHEAD.low_pass)
+    slow = filter_channels(bridged, test.channel_names, **AHEAD.low_pass)
     flows = local_flows(slow, test, planes=(25,), probe_ramp=settings.probe_ramp)
     averages = plane_averages(flows, test)
     speed = Channel("Nc_frac", corrected_speed_fraction(averages["T25_K"], test), "1")
@@ -255,13 +249,10 @@ def _window(
     return _Window(times_s, window_rows(record, times_s), entry)
 
 
-def _averaged(
-    record: Record, test: TestDescription, settings: ReductionSettings, filtered: _Filtered
-) -> Record:
+def _averaged(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
     """Filter all channels alike, and average over each plane."""
     names = [name for name in test.channel_names if name in record]
-    done = filtered if settings.low_pass == AHEAD.low_pass else {}
-    record = filter_channels(record, names, done=done, **settings.low_pass)
+    record = filter_channels(record, names, **settings.low_pass)
     record = invert_thermocouples(record, test, invert=settings.thermocouple_inversion)
     return plane_averages(local_flows(record, test, probe_ramp=settings.probe_ramp), test)
 
