@@ -243,14 +243,6 @@ def _project(starts: tuple[Start, ...], both: FloatArray) -> FloatArray:
     return taken
 
 
-def _predicted(data: LagData) -> tuple[slice | IntArray, slice | IntArray, slice]:
-    """Return the rows that are predicted, the rows before them, and the place of their errors."""
-    if len(data.pieces) == 1:
-        rows = data.pieces[0].rows
-        return rows, slice(rows.start - 1, rows.stop - 1), slice(data.ahead, None)
-    return data.rows_of_errors, data.rows_of_errors - 1, slice(None)
-
-
 def _columns_and_target(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> FloatArray:
     """Return the columns of β and of the drift with the target behind them, weighted.
 
@@ -258,18 +250,17 @@ def _columns_and_target(data: LagData, lag: FirstOrderLag, whitener: MovingAvera
     adds to a segment is its start, which is projected out. Equation error: the terms as they act in
     Eq 9, and ψ'[k] - a ψ'[k-1], sent through 1/C. The drift adds to ψ' itself.
     """
-    rows, before, where = _predicted(data)
+    rows, before = data.rows_of_errors, data.rows_of_errors - 1
     r, d = data.terms.shape[1], data.drift.shape[1]
-    both = np.zeros((data.rows_of_errors.size, r + d + 1), order="F")
-    own = both[where]
+    both = np.zeros((rows.size, r + d + 1), order="F")
     if data.is_output_error:
-        own[:, :r] = lag.respond(data.terms, data.terms[0])[rows]
-        own[:, r:-1] = data.drift[rows]
-        own[:, -1] = data.y[rows]
+        both[:, :r] = lag.respond(data.terms, data.terms[0])[rows]
+        both[:, r:-1] = data.drift[rows]
+        both[:, -1] = data.y[rows]
     else:
-        own[:, :r] = lag.drive(data.terms)[before]
-        own[:, r:-1] = data.drift[rows] - lag.a * data.drift[before]
-        own[:, -1] = data.y[rows] - lag.a * data.y[before]
+        both[:, :r] = lag.drive(data.terms)[before]
+        both[:, r:-1] = data.drift[rows] - lag.a * data.drift[before]
+        both[:, -1] = data.y[rows] - lag.a * data.y[before]
         both[data.ahead_places] = 0.0
         both = _whitened(data, whitener, both)
     both *= data.root[:, None]
@@ -282,7 +273,7 @@ def _whitened(data: LagData, whitener: MovingAverage, rows: FloatArray) -> Float
     With errors ahead of each piece all go through one filter: what it carries into a piece shows
     in these too, and is projected out with them.
     """
-    if data.ahead or len(data.pieces) == 1:
+    if data.ahead:
         return whitener.whiten(rows)
     return np.concatenate([whitener.whiten(rows[piece.errors]) for piece in data.pieces])
 
@@ -320,10 +311,9 @@ def _slopes_of_free_run(at: Profile, slopes: FloatArray) -> None:
     if data.held_log_tau is not None:
         return
     lag = data.lag(at.shape[0])
-    rows, _, _ = _predicted(data)
     quasi_steady = data.terms @ at.beta
     state = lag.respond(quasi_steady, quasi_steady[0])
-    slopes[:, 0] = -lag.d_respond(quasi_steady, state)[rows]
+    slopes[:, 0] = -lag.d_respond(quasi_steady, state)[data.rows_of_errors]
     for start, offset in zip(at.starts, at.offsets, strict=True):
         if start.size > 0.0:
             # ∂a^k/∂log τ = k (h/τ) a^k.
@@ -335,11 +325,10 @@ def _slopes_of_equations(at: Profile, slopes: FloatArray) -> None:
     """Fill in ∂e/∂(log τ, ρ), everything linear held."""
     data = at.data
     lag, whitener = data.lag(at.shape[0]), MovingAverage(at.shape[1:])
-    _, before, where = _predicted(data)
-    quasi_steady = data.terms @ at.beta
+    before, quasi_steady = data.rows_of_errors - 1, data.terms @ at.beta
     if data.held_log_tau is None:
         measured = data.y - data.drift @ at.levels
-        slopes[where, 0] = -lag.d_a * measured[before] - lag.drive(quasi_steady, 1)[before]
+        slopes[:, 0] = -lag.d_a * measured[before] - lag.drive(quasi_steady, 1)[before]
     if data.order:
         slopes[:, -data.order :] = _late_errors(at) @ -whitener.jacobian
     slopes[data.ahead_places] = 0.0
