@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from classic_ml.calibration import total_reading
 from classic_ml.description import (
@@ -38,8 +38,6 @@ MARGIN = REACH + GAP + 3
 # From a row to the middle of the rows that it is compared with.
 MIDDLE = GAP + REACH // 2
 NEAR = np.arange(-2, 3)
-# Rows that are looked at at once: what is computed of them stays in the cache.
-BLOCK_ROWS = 1 << 13
 
 
 def spike_rows(
@@ -79,15 +77,8 @@ def spike_rows(
 
 def _off_neighbours(values: FloatArray) -> FloatArray:
     """Return how far each reading is off the median of itself and two on either side."""
-    off = np.zeros(values.size)
-    for start in range(2, values.size - 2, BLOCK_ROWS):
-        stop = min(start + BLOCK_ROWS, values.size - 2)
-        first, second, own, fourth, fifth = (values[start + k : stop + k] for k in range(-2, 3))
-        # The least and the largest of the four are on either side of the median of all five.
-        one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
-        other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
-        median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
-        off[start:stop] = np.abs(own - median)
+    off = np.abs(values - median_filter(values, 5))
+    off[:2] = off[-2:] = 0.0
     return off
 
 
