@@ -10,9 +10,9 @@ from scipy.signal import find_peaks
 
 from classic_ml.filters import filter_channels
 from classic_ml.flow import LBM_KG
-from classic_ml.intervals import intervals_where
 from classic_ml.records import Record
 from surge_core.errors import InputError
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.

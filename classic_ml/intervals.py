@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import label
 
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
-
-
-def intervals_where(state: BoolArray) -> IntArray:
-    """Return the first row of each interval of True, and the row behind its last."""
-    padded = np.concatenate([[False], state, [False]])
-    return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)
 
 
 def equal_runs(values: FloatArray, least_rows: int) -> IntArray:
@@ -25,13 +21,11 @@ def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[i
 
     Returned are the labels and the rows of each interval that was too short.
     """
-    intervals = intervals_where(state)
-    lengths = intervals[:, 1] - intervals[:, 0]
-    kept = intervals[lengths >= least_rows]
-    labels = np.zeros(state.size, dtype=np.int64)
-    for number, (start, stop) in enumerate(kept.tolist(), 1):
-        labels[start:stop] = number
-    return labels, lengths[lengths < least_rows].tolist()
+    labels = label(state)[0]
+    lengths = np.bincount(labels)[1:]
+    kept = lengths >= least_rows
+    numbers = np.concatenate([[0], np.cumsum(kept) * kept])
+    return numbers[labels], lengths[~kept].tolist()
 
 
 def bridged(values: FloatArray, known: BoolArray) -> FloatArray:

@@ -12,9 +12,10 @@ import numpy as np
 from classic_ml.cycles import first_reversal
 from classic_ml.filters import peak_frequency_hz, period_average, power_spectrum
 from classic_ml.flow import LBM_KG
-from classic_ml.intervals import intervals_where, label_intervals
+from classic_ml.intervals import label_intervals
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, counted, fault_name
 from surge_core.errors import InputError
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.

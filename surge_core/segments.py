@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 
 def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
@@ -28,8 +28,13 @@ def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
     return [slice(low, high) for low, high in pairwise(bounds)]
 
 
+def intervals_where(state: BoolArray) -> IntArray:
+    """Return the first row of each interval of True, and the row behind its last."""
+    padded = np.concatenate([[False], state, [False]])
+    return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)
+
+
 def scored_pieces(weight: FloatArray, run: slice) -> list[slice]:
     """Return the stretches of a run whose rows all have weight (at least two rows each)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], weight[run] > 0.0, [0]])))
-    bounds = edges.reshape(-1, 2) + run.start
-    return [slice(int(low), int(high)) for low, high in bounds if high - low > 1]
+    bounds = intervals_where(weight[run] > 0.0) + run.start
+    return [slice(low, high) for low, high in bounds.tolist() if high - low > 1]

@@ -18,9 +18,9 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.intervals import intervals_where
 from classic_ml.records import Record
 from surge_core.errors import InputError
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # In steps of the resolution, and half a one, so that no rounding decides. Two readings of a noise

@@ -18,7 +18,7 @@ from classic_ml.filters import period_average
 from classic_ml.segments import PLAIN_PERIOD_S, near, threshold_between
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
-from surge_core.segments import runs_of
+from surge_core.segments import intervals_where, runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # A cell passes the rakes some ten to some two hundred times a second; the upper end is where the
@@ -42,9 +42,9 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     rate_hz = 1.0 / signals.sample_period_s
     fewest = round(PIECE_S * rate_hz)
     power: FloatArray | float = 0.0
-    for run in runs_of(rows, rows.size):
-        if differences and rows[run.start] and run.stop - run.start >= fewest:
-            piece = differences[0][run]
+    for start, stop in intervals_where(rows).tolist():
+        if differences and stop - start >= fewest:
+            piece = differences[0][start:stop]
             frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=fewest)
             power = power + density * piece.size
     if isinstance(power, float):
@@ -176,26 +176,23 @@ def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
         before = shift[: max(int(reversed_[0]) if reversed_.size else 1, 1)]
         state = _by_hub_and_tip(shift, usable, float(np.median(before)))
         state = _without_short(state, round(SHORTEST_STATE_S * rate_hz))
-    for quiet in runs_of(~state, state.size):
-        if not state[quiet.start] and quiet.stop - quiet.start > LONGEST_QUIET_S * rate_hz:
-            first = quiet.start + round(QUIET_KEPT_S * rate_hz)
-            usable[first : max(first, quiet.stop - round(QUIET_END_S * rate_hz))] = False
+    for start, stop in intervals_where(~state).tolist():
+        if stop - start > LONGEST_QUIET_S * rate_hz:
+            first = start + round(QUIET_KEPT_S * rate_hz)
+            usable[first : max(first, stop - round(QUIET_END_S * rate_hz))] = False
     planes = without_cells(signals, state, usable, cell_hz)
     phi, psi_p, speed = signals.coefficients(planes)
     usable &= np.isfinite(psi_p)
-    runs = [
-        run
-        for run in runs_of(usable, usable.size)
-        if usable[run.start] and run.stop - run.start >= SHORTEST_PIECE_S * rate_hz
-    ]
-    if not runs:
+    runs = intervals_where(usable)
+    runs = runs[runs[:, 1] - runs[:, 0] >= SHORTEST_PIECE_S * rate_hz]
+    if not runs.size:
         raise InputError(
             "free run",
             expected=f"{SHORTEST_PIECE_S:g} s of readings that count after the first reversal",
             found="none" if reversed_.size else "no reversal of the flow",
         )
-    row = np.concatenate([np.arange(run.start, run.stop) for run in runs])
-    piece = np.concatenate([np.full(run.stop - run.start, i) for i, run in enumerate(runs)])
+    row = np.concatenate([np.arange(*ends) for ends in runs])
+    piece = np.repeat(np.arange(len(runs)), runs[:, 1] - runs[:, 0])
     speed = period_average(speed, SPEED_AVERAGE_S, rate_hz)[row]
     return Passes(
         row,
