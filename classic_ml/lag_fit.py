@@ -45,21 +45,17 @@ RANK_LIMIT = 1e-13
 
 @dataclass(frozen=True)
 class LagFit:
-    """What a fit found, in the units of the user.
+    """Where a fit ended, and what it is without each block.
 
-    ``shape`` is log τ and ρ of C, ``coef`` β of the terms as the user knows them. ``moves``, a row
-    a block, is by how much log τ and β move without it; ``curve_moves`` are those of the
-    coefficients of nearly orthogonal terms, their mean taken out: in powers of φ the moves of β all
-    but cancel in those of the curve. ``n_lags`` is over how many errors they hang together.
+    ``moves``, a row a block, is by how much log τ and β of the user's terms move without it;
+    ``curve_moves`` are those of the coefficients of nearly orthogonal terms, their mean taken out:
+    in powers of φ the moves of β all but cancel in those of the curve. ``n_lags`` is over how many
+    errors they hang together.
     """
 
-    shape: FloatArray
-    coef: FloatArray
-    drift: FloatArray
+    at: Profile
     moves: FloatArray
     curve_moves: FloatArray
-    cost: float
-    n_errors: int
     n_lags: int
     state: FitState
 
@@ -79,17 +75,8 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     curve_moves = found[:, s : s + at.beta.size]
     if terms.deficient or _is_deficient(at.normal[s:, s:]):
         state = FitState.RANK_DEFICIENT
-    return LagFit(
-        at.shape,
-        terms.back @ at.beta,
-        at.levels,
-        np.column_stack([moves, curve_moves @ terms.back.T]),
-        curve_moves - curve_moves.mean(axis=0),
-        at.cost,
-        scored.size,
-        n_lags,
-        state,
-    )
+    both = np.column_stack([moves, curve_moves @ terms.back.T])
+    return LagFit(at, both, curve_moves - curve_moves.mean(axis=0), n_lags, state)
 
 
 def without_blocks(at: Profile, blocks: list[slice]) -> FloatArray:

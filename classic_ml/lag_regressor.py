@@ -414,7 +414,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         )
 
     def _store(self, fit: LagFit, data: LagData, terms: Terms) -> None:
-        tau_s = float(np.exp(fit.shape[0]))
+        at, n_errors = fit.at, data.scored.size
+        tau_s = float(np.exp(at.shape[0]))
         n_terms = terms.back.shape[0]
         # The search runs over log τ: dτ = τ d(log τ), the delta method of Eq 10.
         to_user = np.array([tau_s, *np.ones(n_terms)])
@@ -422,18 +423,18 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.time_constant_s_ = tau_s if held is None else float(held)
         self.parameter_covariance_ = scatter(fit.moves) * np.outer(to_user, to_user)
         self.time_constant_stderr_s_ = float(np.sqrt(self.parameter_covariance_[0, 0]))
-        self.coef_ = fit.coef
+        self.coef_ = terms.back @ at.beta
         self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = terms.back, fit.curve_moves
-        self.drift_coef_ = fit.drift
-        self.moving_average_ = MovingAverage(fit.shape[1:]).coefficients
+        self.drift_coef_ = at.levels
+        self.moving_average_ = MovingAverage(at.shape[1:]).coefficients
         self.fit_state_ = fit.state
         scored = data.weight[data.weight > 0.0]
-        freedom = max(fit.n_errors - data.n_parameters(n_terms), 1)
-        self.residual_std_ = float(np.sqrt(fit.cost / freedom / scored.mean()))
+        freedom = max(n_errors - data.n_parameters(n_terms), 1)
+        self.residual_std_ = float(np.sqrt(at.cost / freedom / scored.mean()))
         self.residual_lag_ = fit.n_lags
         self.n_blocks_ = len(fit.moves)
-        self.n_scored_ = fit.n_errors
+        self.n_scored_ = n_errors
 
     def _store_static(
         self, y: FloatArray, terms: FloatArray, data: LagData, state: FitState
