@@ -40,16 +40,12 @@ def total_reading(
             adc.low_V + count * adc.volts_per_count
             for count in (channel.zero_count, channel.calibrate_count)
         )
-        values = readings * adc.volts_per_count
-        # In place: of long records it is new memory that takes the time.
-        values += adc.low_V
-        values -= zero_V
-        values /= (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
-        values += channel.zoc_reference_Pa
+        sensitivity = (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
+        volts = adc.low_V + readings * adc.volts_per_count
+        values = (volts - zero_V) / sensitivity + channel.zoc_reference_Pa
     else:
-        values = readings.copy()
-    values += shift
-    return values
+        values = readings
+    return np.asarray(values + shift)
 
 
 def calibrate(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.coefficients import rate_of_change
 from classic_ml.filters import low_pass
 from classic_ml.flow import mach_from_corrected_flow, pair_flow, physical_flow
 from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
@@ -109,7 +108,7 @@ def twin_of(
     psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
     # Rows that were simulated through hold terms that no scored row has.
     psi_p = np.clip(psi_p, passes.psi_p.min(), passes.psi_p.max())
-    rate = rate_of_change(
+    rate = np.gradient(
         physical_flow(planes.corrected_kg_s, planes.inlet_Pa, inlet_K), signals.sample_period_s
     )
     # Eq 5 for the pressure behind the blading.

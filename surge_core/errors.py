@@ -53,12 +53,8 @@ class InputError(ValueError):
         self.expected = expected
         self.found = found
         self.remedy = remedy
-        super().__init__(self.sentence())
-
-    def sentence(self) -> str:
-        """Return the whole message as one sentence."""
-        text = f"{self.where}: expected {self.expected}, found {self.found}"
-        return f"{text}; {self.remedy}" if self.remedy else text
+        text = f"{where}: expected {expected}, found {found}"
+        super().__init__(f"{text}; {remedy}" if remedy else text)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Survive pickling (worker processes), which plain keyword arguments would not."""

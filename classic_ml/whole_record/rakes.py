@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.calibration import near_stall_rows
-from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
+from classic_ml.coefficients import flow_coefficient, pressure_coefficient
 from classic_ml.description import Compressor, TestDescription
 from classic_ml.flow import (
     T_STANDARD_K,
@@ -235,8 +235,8 @@ class RakeSignals:
             accelerated = physical_flow(planes.corrected_kg_s, planes.inlet_Pa, self.inlet_K)
             if stored:
                 gas_kg = self._gas_between(planes)
-                accelerated = accelerated - 0.5 * rate_of_change(gas_kg, self.sample_period_s)
-            rate = rate_of_change(accelerated, self.sample_period_s)
+                accelerated = accelerated - 0.5 * np.gradient(gas_kg, self.sample_period_s)
+            rate = np.gradient(accelerated, self.sample_period_s)
             # Where the noise of dW/dt leaves no pressure the row is left out by its NaN.
             least = LEAST_RATIO * planes.inlet_Pa - machine.inertia_per_m * rate
             exit_Pa = np.maximum(planes.exit_Pa, least)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from classic_ml.coefficients import PSI_MINIMUM_PHI, psi_is_known, rate_of_change, work_coefficient
+from classic_ml.coefficients import PSI_MINIMUM_PHI, psi_is_known, work_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import choked_flow, corrected_from_physical
@@ -110,7 +110,7 @@ def _energy_form(record: Record, test: TestDescription) -> FloatArray:
     inlet_Pa = record["P25_Pa"]
     blading_Pa = record["P31_Pa"] + machine.inertia_per_m * record["dW25_dt_kg_s2"]
     mean_Pa = inlet_Pa + EXIT_WEIGHT * (blading_Pa - inlet_Pa)
-    rate_Pa_s = rate_of_change(mean_Pa, record.sample_period_s)
+    rate_Pa_s = np.gradient(mean_Pa, record.sample_period_s)
     return work_coefficient(
         record["W25_kg_s"],
         record["W31_kg_s"],

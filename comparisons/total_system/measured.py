@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
+from classic_ml.coefficients import flow_coefficient, pressure_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical, physical_flow
@@ -161,7 +161,7 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     flow, p25, p31, t25 = (
         measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
     )
-    slope, velocity = rate_of_change(flow, measured.period_s), test.rotor_velocity_m_s
+    slope, velocity = np.gradient(flow, measured.period_s), test.rotor_velocity_m_s
     corrected = corrected_from_physical(flow, p25, t25)
     phi = flow_coefficient(corrected, t25, test.areas_m2[25], velocity, machine)
     psi_p = pressure_coefficient(p25, p31, t25, slope, machine.inertia_per_m, velocity, machine)

@@ -88,7 +88,7 @@ def test_it_is_simulated_saved_and_fitted_again(found: Diagnosis, tmp_path: Path
     save_extended({"own": model}, path)
     with pytest.raises(InputError, match=r"catalogue=") as refused:
         load_extended(path)
-    assert "probe_swirl" in refused.value.sentence()
+    assert "probe_swirl" in str(refused.value)
     again = load_extended(path, catalogue=OWN)["own"]
     assert again == model
     assert refitted(again, [moved]).effects[0].values[0] == pytest.approx(SIZE, rel=0.1)
