@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
-from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
-
-
-def equal_runs(values: FloatArray, least_rows: int) -> IntArray:
-    """Return the runs of so many equal values or more, as :func:`intervals_where` does."""
-    runs = intervals_where(values[1:] == values[:-1])
-    runs[:, 1] += 1
-    return np.asarray(runs[runs[:, 1] - runs[:, 0] >= least_rows])
 
 
 def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[int]]:
@@ -34,10 +26,9 @@ def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     It is constant before the first and behind the last known row; where no row is known, or all
     are, it is returned as it is.
     """
-    ends = intervals_where(~known) + np.array([-1, 0])
-    ends = np.unique(ends[(ends >= 0) & (ends < values.size)])
-    if not ends.size:
+    there, gone = np.flatnonzero(known), np.flatnonzero(~known)
+    if not (there.size and gone.size):
         return values
-    out, rows = np.array(values), np.flatnonzero(~known)
-    out[rows] = np.interp(rows, ends, values[ends])
+    out = np.array(values)
+    out[gone] = np.interp(gone, there, values[there])
     return out

@@ -71,11 +71,7 @@ class MovingAverage:
     @property
     def largest_root(self) -> float:
         """Largest modulus of the roots of C: how fast the filter 1/C forgets."""
-        if self.order < MAXIMUM_ORDER:
-            return float(np.max(np.abs(self.coefficients), initial=0.0))
-        c1, c2 = self.coefficients
-        # Of a complex pair c2 is the squared modulus.
-        return float(np.sqrt(c2) if c1**2 < 4.0 * c2 else 0.5 * (abs(c1) + np.sqrt(c1**2 - 4 * c2)))
+        return float(np.max(np.abs(np.roots([1.0, *self.coefficients])), initial=0.0))
 
     def whiten(self, rows: FloatArray) -> FloatArray:
         """Return C(q)⁻¹ of the equation errors of one stretch, of shape (n,) or (n, p)."""

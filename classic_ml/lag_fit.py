@@ -81,7 +81,8 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
 
 def without_blocks(at: Profile, blocks: list[slice]) -> FloatArray:
     """Return by how much shape, β and drift move without each block of errors, linearised."""
-    data, moves = at.data, leave_out(at.jacobian, at.errors, blocks).moves
+    data = at.data
+    moves, _ = leave_out(at.jacobian, at.errors, blocks)
     r, d = at.beta.size, at.levels.size
     constant = np.linalg.lstsq(data.terms, np.ones(data.y.size))[0]
     if d == 0 or not np.allclose(data.terms @ constant, 1.0):

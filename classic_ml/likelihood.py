@@ -106,10 +106,10 @@ def cycle_shifts(fit: LinearisedFit) -> CycleShifts:
             for cycle, n in zip(cycles, parts, strict=True)
         ]
         cycles = [slice(*ends) for edges in cuts for ends in pairwise(edges) if ends[1] > ends[0]]
-    rest = leave_out(fit.jacobian, fit.errors, cycles)
-    nothing = leave_out(fit.jacobian, fit.errors, [slice(0, 0)])
+    moves, inverse = leave_out(fit.jacobian, fit.errors, cycles)
+    _, whole = leave_out(fit.jacobian, fit.errors, [slice(0, 0)])
     edges = fit.rows[[[cycle.start, cycle.stop - 1] for cycle in cycles]]
-    return CycleShifts(rest.moves, rest.inverse - nothing.inverse, edges)
+    return CycleShifts(moves, inverse - whole, edges)
 
 
 # Below this a start adds less than a rounding error.

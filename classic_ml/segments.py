@@ -304,8 +304,7 @@ def segment(
     where no row of it is in stall.
     """
     n_rows, flow = record.n_samples, record["Wc25_kg_s"]
-    inside = np.zeros(n_rows, dtype=np.bool_)
-    inside[window] = True
+    inside = _inside(window, n_rows)
     parameters: dict[str, str | int | float | bool] = {"threshold_lbm_s": "none"}
     flags: tuple[str, ...] = ()
     if threshold_lbm_s is None:

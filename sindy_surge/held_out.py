@@ -215,7 +215,7 @@ class Trials:
         """Return the mean square error of each block's equations, fitted without that block."""
         if support not in self.errors:
             parameters, design, residual = self.equations.fit(support)
-            moves = leave_out(-design, residual, [touched for touched, _ in self.blocks]).moves
+            moves, _ = leave_out(-design, residual, [touched for touched, _ in self.blocks])
             own_errors = np.empty(len(self.blocks))
             for number, (touched, own) in enumerate(self.blocks):
                 error = residual[own] - design[own] @ moves[number]
@@ -389,7 +389,7 @@ def select_by_held_out(
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
     parameters, design, residual = weak.fit(chosen)
-    moves = leave_out(-design, residual, [own for _, own in trials.blocks]).moves
+    moves, _ = leave_out(-design, residual, [own for _, own in trials.blocks])
     covariance = scatter(moves)
     covariance += _beyond_cycles(problem, weak, chosen, design, residual)
     return chosen, parameters, covariance, trials

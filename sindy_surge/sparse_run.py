@@ -216,7 +216,7 @@ def select_on_free_run(
         trials.error(structure)
     fit = equations.solve(chosen)
     # The nuisances are estimated again without each cycle as well.
-    moves = leave_out(-fit.joint, fit.residual, blocks).moves
+    moves, _ = leave_out(-fit.joint, fit.residual, blocks)
     n = len(chosen)
     covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
     common_shares = common_tau_share, common_curve_share

@@ -7,7 +7,6 @@ times too small; the scatter of the fits without each block allows for all of it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -25,22 +24,13 @@ MOST_LAGS = 4000
 NO_DIRECTION = 1e-13
 
 
-@dataclass(frozen=True)
-class Rest:
-    """The fits without each block.
-
-    ``moves`` of shape (n_blocks, p) are the parameters without the block less those of the whole
-    fit, ``inverse`` the inverse of the normal matrix of the other blocks.
-    """
-
-    moves: FloatArray
-    inverse: FloatArray
-
-
 def leave_out(
     jacobian: FloatArray, errors: FloatArray, blocks: Sequence[slice | IndexArray]
-) -> Rest:
+) -> tuple[FloatArray, FloatArray]:
     """Refit without each block of rows, linearised about the whole fit by ∂e/∂θ and the errors e.
+
+    Returned are the parameters without each block less those of the whole fit, (n_blocks, p), and
+    the inverse of the normal matrix of the other blocks.
 
     Without block g, θ moves by -(J'J - A_g)⁻¹ (J'e - J_g'e_g), A_g = J_g'J_g: exact for a linear
     fit (Cook and Weisberg 1982, section 3.5), at the cost of one pass over the rows whatever the
@@ -59,7 +49,7 @@ def leave_out(
     half = vectors * np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[..., None, :]
     inverse = half @ np.swapaxes(half, -1, -2)
     moves = -np.einsum("gij,gj->gi", inverse, rest[:, :-1, -1]) / scale
-    return Rest(moves, inverse / np.outer(scale, scale))
+    return moves, inverse / np.outer(scale, scale)
 
 
 def scatter(moves: FloatArray) -> FloatArray:

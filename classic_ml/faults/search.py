@@ -21,8 +21,8 @@ from classic_ml.description import (
     TestDescription,
 )
 from classic_ml.faults.plateaus import check_held, range_ends
-from classic_ml.intervals import equal_runs
 from classic_ml.records import Channel, LedgerEntry, Record, counted, fault_name
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # A spike is one row or two wide, and is compared with what its channel does for 25 rows on either
@@ -191,7 +191,8 @@ def _cut_off(values: FloatArray, channel: AnyChannel, test: TestDescription) -> 
 def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:
     """Return the runs of rows in which one of some channels alike is stuck, or has dropped out."""
     values = record[name]
-    runs = equal_runs(values, DROPOUT_ROWS)
+    runs: IntArray = intervals_where(values[1:] == values[:-1]) + np.array([0, 1])
+    runs = runs[runs[:, 1] - runs[:, 0] >= DROPOUT_ROWS]
     if not runs.size:
         return runs
     steps = np.abs(np.diff(values))

@@ -261,7 +261,7 @@ def fit_work_characteristic(
     late = replace(setup, record=_a_sample_late(record))
     misaligned = _corrected(*(fit.theta for fit in _fits(late, time_constant_s)))
     blocks = [np.flatnonzero(setup.cycle[setup.scored] == number) for number in cycles]
-    moves = [leave_out(-fit.jacobian, fit.residual, blocks).moves.T for fit in fits]
+    moves = [leave_out(-fit.jacobian, fit.residual, blocks)[0].T for fit in fits]
     planes = 0.5 * (fits[1].theta - fits[2].theta)
     errors = planes[: theta.size], misaligned[: theta.size] - theta
     covariance = scatter(_corrected(*moves)[: theta.size].T)

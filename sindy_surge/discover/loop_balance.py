@@ -142,5 +142,5 @@ def fit_balance(
     chosen, _ = best_terms(columns, goal, columns.shape[1])
     own = columns[:, chosen]
     coefficients = least_squares(own, goal)
-    covariance = scatter(leave_out(-own, goal - own @ coefficients, blocks).moves)
+    covariance = scatter(leave_out(-own, goal - own @ coefficients, blocks)[0])
     return Balance(coefficients, covariance, _EXPONENTS[chosen])

@@ -317,7 +317,7 @@ def _settled(
     for move in 2e-3 * np.eye(at.size):
         moves.append((design(at + move) - design(at - move)) @ beta / 4e-3)
     jacobian = -np.column_stack((columns, *moves))
-    spread = scatter(leave_out(jacobian, left, rows.cycles).moves)
+    spread = scatter(leave_out(jacobian, left, rows.cycles)[0])
     errors = np.sqrt(np.diag(spread))[columns.shape[1] :].tolist()
     rng = np.random.default_rng(0)
     again = []
