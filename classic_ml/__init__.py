@@ -6,24 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from classic_ml.characteristics import PiecewiseLinear
-    from classic_ml.io.series import read_series, write_series
-    from classic_ml.lag_regressor import LagRegressor
-    from classic_ml.records import Record
-    from classic_ml.series import CoefficientSeries
-    from surge_core.errors import InputError
-    from surge_core.fit_state import FitState
-
-__all__ = [
-    "CoefficientSeries",
-    "FitState",
-    "InputError",
-    "LagRegressor",
-    "PiecewiseLinear",
-    "Record",
-    "read_series",
-    "write_series",
-]
+    from classic_ml.characteristics import PiecewiseLinear as PiecewiseLinear
+    from classic_ml.io.series import read_series as read_series
+    from classic_ml.io.series import write_series as write_series
+    from classic_ml.lag_regressor import LagRegressor as LagRegressor
+    from classic_ml.records import Record as Record
+    from classic_ml.series import CoefficientSeries as CoefficientSeries
+    from surge_core.errors import InputError as InputError
+    from surge_core.fit_state import FitState as FitState
 
 _HOMES = {
     "CoefficientSeries": "classic_ml.series",
@@ -35,6 +25,7 @@ _HOMES = {
     "read_series": "classic_ml.io.series",
     "write_series": "classic_ml.io.series",
 }
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -6,30 +6,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sindy_surge.discover.dynamics import SparseDynamics
-    from sindy_surge.discover.loops import SurgeLoop, discover_loop
-    from sindy_surge.regressor import SparseLagRegressor
-    from surge_core.errors import InputError
-    from surge_core.fit_state import FitState
+    from sindy_surge.discover.dynamics import SparseDynamics as SparseDynamics
+    from sindy_surge.discover.loops import SurgeLoop as SurgeLoop
+    from sindy_surge.discover.loops import discover_loop as discover_loop
+    from sindy_surge.regressor import SparseLagRegressor as SparseLagRegressor
+    from surge_core.errors import InputError as InputError
+    from surge_core.fit_state import FitState as FitState
 
-__all__ = [
-    "FitState",
-    "InputError",
-    "SparseDynamics",
-    "SparseLagRegressor",
-    "SurgeLoop",
-    "discover_loop",
-]
+_HOMES = {
+    "FitState": "surge_core.fit_state",
+    "InputError": "surge_core.errors",
+    "SparseDynamics": "sindy_surge.discover.dynamics",
+    "SparseLagRegressor": "sindy_surge.regressor",
+    "SurgeLoop": "sindy_surge.discover.loops",
+    "discover_loop": "sindy_surge.discover.loops",
+}
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
     # scikit-learn takes half a second to import; a command that only prints its help need not.
-    homes = {"FitState": "surge_core.fit_state", "InputError": "surge_core.errors"}
-    homes["SparseLagRegressor"] = "sindy_surge.regressor"
-    homes["SparseDynamics"] = "sindy_surge.discover.dynamics"
-    if name in __all__:
-        return getattr(import_module(homes.get(name, "sindy_surge.discover.loops")), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
