@@ -12,14 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from shared_data import MEASURED, SHARED, needs_measured
 
-from comparisons.missing_effect import Experiment, Model, P, diagnose_model
-from comparisons.missing_effect.nulls import (
-    LATE_P,
-    Leftover,
-    foretold,
-    foretold_late,
-    newly_foretold,
-)
+from comparisons.missing_effect import Experiment, Model, P, diagnose_model, nulls
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
@@ -122,9 +115,9 @@ def test_chance_of_what_is_foretold_is_chance(periodic: bool) -> None:
         slow = np.column_stack([slow_signal(rng, 600) for _ in range(3)])
         given = np.exp(cycle) if periodic else slow
         error = slow_signal(rng, 600)
-        p.append(foretold([error], [given], ("a", "b", "c"), rng)[0])
-        newly.append(newly_foretold([error], [given]))
-        late.append(foretold_late([error], [given], rng))
+        p.append(nulls.foretold([error], [given], ("a", "b", "c"), rng)[0])
+        newly.append(nulls.newly_foretold([error], [given]))
+        late.append(nulls.foretold_late([error], [given], rng))
     # 60 uniform numbers: 6 are expected below 0.1, sd 2.3, and 0.06 below 0.001.
     for chances in (p, newly, late):
         assert np.count_nonzero(np.array(chances) < 0.1) <= 13
@@ -135,11 +128,11 @@ def test_errors_that_follow_a_product_are_foretold() -> None:
     rng = np.random.default_rng(5)
     signals = np.column_stack([slow_signal(rng, 600) for _ in range(2)])
     error = 0.5 * signals[:, 0] * signals[:, 1] + 0.5 * rng.standard_normal(600)
-    p, share, follows = foretold([error], [signals], ("a", "b"), rng)
+    p, share, follows = nulls.foretold([error], [signals], ("a", "b"), rng)
     assert p < 0.01
     assert share > 0.3
     assert follows == "a·b"
-    assert Leftover(p, p, share, 1.0).structured
+    assert nulls.Leftover(p, p, share, 1.0).structured
 
 
 def test_errors_of_a_mode_that_is_missing_are_foretold_and_those_in_a_loop_are_not() -> None:
@@ -147,10 +140,10 @@ def test_errors_of_a_mode_that_is_missing_are_foretold_and_those_in_a_loop_are_n
     u, noise = slow_signal(rng, 2000), rng.standard_normal(2000)
     mode = lfilter([0.0, 0.02], [1.0, -1.9, 0.93], u)
     error = mode + np.std(mode) * noise
-    assert foretold_late([error], [u[:, None]], rng) < LATE_P
+    assert nulls.foretold_late([error], [u[:, None]], rng) < nulls.LATE_P
     slow = lfilter([1.0], [1.0, -0.9], noise)
     answer = u - 0.5 * np.roll(slow, 1)
-    assert foretold_late([slow], [answer[:, None]], rng) > LATE_P
+    assert nulls.foretold_late([slow], [answer[:, None]], rng) > nulls.LATE_P
 
 
 def measured(folder: str, name: str) -> Experiment:
