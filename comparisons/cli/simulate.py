@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 
 from comparisons import rig, rig_distributed
 from surge_core.errors import InputError
@@ -26,17 +27,21 @@ def run(given: argparse.Namespace) -> Iterable[str]:
             )
     with shown_steps([2.0, 0.3]) as begin:
         begin("running the rig")
-        if given.rig == "lumped":
-            case, hidden = given.case or "985", {"hide": given.hide, "hide_size": given.hide_size}
-            made = rig.simulate(case, seed=given.seed, duration_s=given.duration, **hidden)
-            write = partial(rig.write_run, made)
-        else:
-            make = rig_distributed.draw_run if given.draw else rig_distributed.simulate
-            drawn = make(seed=given.seed, duration_s=given.duration)
-            write = partial(rig_distributed.write_run, drawn)
+        write = _lumped(given) if given.rig == "lumped" else _distributed(given)
         begin("writing")
         write(given.out)
     return (
         f"raw record: {given.out / 'raw.csv'} with {given.out / 'test.toml'}",
         f"truth:      {given.out / 'truth'}",
     )
+
+
+def _lumped(given: argparse.Namespace) -> Callable[[Path], None]:
+    case, hidden = given.case or "985", {"hide": given.hide, "hide_size": given.hide_size}
+    made = rig.simulate(case, seed=given.seed, duration_s=given.duration, **hidden)
+    return partial(rig.write_run, made)
+
+
+def _distributed(given: argparse.Namespace) -> Callable[[Path], None]:
+    make = rig_distributed.draw_run if given.draw else rig_distributed.simulate
+    return partial(rig_distributed.write_run, make(seed=given.seed, duration_s=given.duration))

@@ -232,10 +232,9 @@ class PredictionError(_Simulated):
     def fit(self, X: FloatArray, y: FloatArray, segments: IntArray | None = None) -> Self:
         """Fit it to φ, of shape (n, 1), and ψ', of shape (n,): y[k+1] = a y[k] + b·s + C e."""
         runs, self.level_ = runs_of(segments, y.size), float(np.mean(y))
-        powers = [np.vander(X[r, 0], 3, increasing=True) for r in runs]
+        columns = np.vander(X[:, 0], 3, increasing=True)
         # φ is joined by lines: to first order the mean of the two ends acts.
-        middles = [0.5 * (ends[1:] + ends[:-1]) for ends in powers]
-        before = [np.column_stack([y[r][:-1], s]) for r, s in zip(runs, middles, strict=True)]
+        before = [np.column_stack([y[r][:-1], _middle(columns[r])]) for r in runs]
         after = [y[r][1:] for r in runs]
         start = np.linalg.lstsq(np.vstack(before), np.concatenate(after))[0]
 
@@ -264,3 +263,7 @@ class PredictionError(_Simulated):
     def _step(self, y: FloatArray, phi: FloatArray) -> FloatArray:
         drive = (1.0 - self.a_) * self.characteristic(phi).mean(axis=1)
         return np.asarray(np.clip(self.a_, -1.0, 1.0) * y[:, -1] + drive)
+
+
+def _middle(values: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (values[1:] + values[:-1]))

@@ -162,6 +162,8 @@ def broken(
     gap = np.array([np.nan])
     times = [part for run in runs for part in (time_s[run], gap)]
     levels = [part for run in runs for part in (values[run], gap)]
+    if not times:
+        return np.zeros(0), np.zeros(0)
     return np.concatenate(times), np.concatenate(levels)
 
 

@@ -85,6 +85,10 @@ class FlowSignal:
         """Return φ at times on the facility clock."""
         return self.at(time_s)[0]
 
+    def rates(self, time_s: FloatArray) -> FloatArray:
+        """Return dφ/dt in 1/s at times on the facility clock."""
+        return self.at(time_s)[1]
+
 
 @dataclass(frozen=True)
 class ChannelSignal:

@@ -84,7 +84,7 @@ def lay_steps(
     levels = [level for name, p in planted.items() for level in FORMS[name].levels(p)]
     events = [_crossings(flow.values, acting, level) for level in levels]
     if "asymmetric_lag" in planted:
-        events.append(_crossings(lambda time_s: flow.at(time_s)[1], acting, 0.0))
+        events.append(_crossings(flow.rates, acting, 0.0))
     if events:
         extra = np.sort(np.concatenate(events)) + delay_s
         place = np.searchsorted(nodes, extra)

@@ -119,6 +119,14 @@ def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
+def _unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
+    """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
+    phi_s, psi_s = _stall_point(c, face_temperature)
+    value: float = psi_s - c.unstalled_droop * max(phi - phi_s, 0.0) ** 2
+    return value
+
+
+@njit(cache=True)
 def _targets(
     c: Any, time: float, phi: float, face_temperature: float, q: float, deep: float
 ) -> tuple[float, float]:
@@ -126,9 +134,7 @@ def _targets(
 
     What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
     """
-    phi_s, psi_s = _stall_point(c, face_temperature)
-    # Out of stall: flat up to the stall point, a parabola beyond.
-    free = psi_s - c.unstalled_droop * max(phi - phi_s, 0.0) ** 2
+    free = _unstalled_psi_p(c, phi, face_temperature)
     scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_droop
     extra = (
         c.characteristic_shape * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))

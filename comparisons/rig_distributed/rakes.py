@@ -156,6 +156,12 @@ def near_stall_reading(
     return reading
 
 
+def _mach_of_velocity(velocity_m_s: FloatArray, total_k: FloatArray) -> FloatArray:
+    """Return the signed Mach number of an axial velocity at a total temperature."""
+    static_k = total_k - velocity_m_s**2 / (2.0 * CP)
+    return np.asarray(velocity_m_s / np.sqrt(GAMMA * R * static_k))
+
+
 def _local_flow(
     machine: Machine, run: PlantRun, plane: int, rake: str, immersion: str
 ) -> tuple[FloatArray, FloatArray]:
@@ -168,14 +174,16 @@ def _local_flow(
     reach = reach * (machine.cell_frac_hub if immersion == "hub" else 1.0)
     side = share * (1.0 if immersion == "hub" else -1.0)
     phi = run["phi" if plane == 25 else "phi31"] + reach * np.sin(angle)
-    # The shift D goes by φ at plane 25.
-    below = np.maximum(machine.peak_phi - run["phi"], 0.0) / machine.span
-    phi = phi + side * (machine.hub_tip * (1.0 - np.exp(-2.0 * below)))
-    rotor_m_s = machine.rotor_velocity_m_s
-    ripple_pa = total_pa / (R * total_k) * rotor_m_s**2 * machine.cell_turn * reach * np.cos(angle)
-    velocity_m_s = phi * rotor_m_s
-    static_k = total_k - velocity_m_s**2 / (2.0 * CP)
-    return velocity_m_s / np.sqrt(GAMMA * R * static_k), total_pa + ripple_pa
+    phi = phi + side * _hub_tip_shift(machine, run["phi"])
+    velocity = machine.rotor_velocity_m_s
+    ripple_pa = total_pa / (R * total_k) * velocity**2 * machine.cell_turn * reach * np.cos(angle)
+    return _mach_of_velocity(phi * velocity, total_k), total_pa + ripple_pa
+
+
+def _hub_tip_shift(machine: Machine, phi: FloatArray) -> FloatArray:
+    """Return the shift D of φ between the mean and hub or tip, from φ at plane 25."""
+    below = np.maximum(machine.peak_phi - phi, 0.0) / machine.span
+    return np.asarray(machine.hub_tip * (1.0 - np.exp(-2.0 * below)))
 
 
 def hole_pressures_pa(
