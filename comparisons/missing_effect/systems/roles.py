@@ -246,4 +246,5 @@ def blind_to_sign(simulated: FloatArray, reading: FloatArray) -> str:
     """
     if float(np.mean(reading < -SIDE)) > LEAST_SIDE_SHARE:
         return "needs a reading that stays on one side of zero"
-    return both_signs(simulated, reading) and "needs an output that changes sign in the model"
+    one_sided = both_signs(simulated, reading)
+    return one_sided and "needs an output that changes sign, and that of the fitted model does not"

@@ -154,7 +154,7 @@ def test_a_sensor_may_be_blind_only_to_a_sign_that_the_model_changes() -> None:
     )
     placed, refused = placed_effects(bare_fit(model, run), [run], blind)
     assert placed == []
-    assert set(refused.values()) == {"needs an output that changes sign in the model"}
+    assert all(words.startswith("needs an output that changes sign") for words in refused.values())
     model, run = body_with(lambda t, q, v: 0.0)
     half = replace(run, outputs=np.abs(run.outputs))
     fit = bare_fit(model, run, BODY)
