@@ -182,16 +182,15 @@ def foretold_late(
     from scipy.stats import gamma
 
     mean = np.concatenate(list(inputs)).mean(axis=0)
-    there = [np.flatnonzero(np.isfinite(e)) for e in errors]
+    read = [(e, u, np.flatnonzero(np.isfinite(e))) for e, u in zip(errors, inputs, strict=True)]
+    # An output that is read seldom may have too few readings in a run.
+    long = [(e, u, rows) for e, u, rows in read if rows.size > MEMORY + 1 and np.ptp(e[rows]) > 0.0]
+    if not long:
+        return 1.0
+    runs = [e[rows] - e[rows].mean() for e, _, rows in long]
     own = orthonormal(
-        np.concatenate(
-            [
-                _earlier(u - mean)[rows[MEMORY - 1 : -1]]
-                for u, rows in zip(inputs, there, strict=True)
-            ]
-        )
+        np.concatenate([_earlier(u - mean)[rows[MEMORY - 1 : -1]] for _, u, rows in long])
     )
-    runs = [e[rows] - e[rows].mean() for e, rows in zip(errors, there, strict=True)]
     if own.shape[0] < 2 * (own.shape[1] + MEMORY) or not own.shape[1]:
         return 1.0
 

@@ -73,7 +73,6 @@ def test_the_answer_is_open_and_every_other_part_folded_in_order(html: str) -> N
     # Of sindy, which is recommended: not of the least held-out rms, nor of the first key.
     for words in ("18.01 ± 0.22 ms", "17.58 to 18.45", "Believe sparse regression", "φ²"):
         assert words in opened
-    assert opened.count("<img") == 1
 
 
 def test_nothing_comes_from_outside(html: str) -> None:
@@ -118,7 +117,6 @@ def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
     row = html.split('<tr class="best">', 1)[1].split("</tr>", 1)[0]
     assert "<small>sindy</small>" in row
     assert "18.01 ± 0.22" in row
-    assert html.count('<tr class="best">') == 1
     assert "Believe sparse regression" in Page(html).text
     none = dataclasses.replace(made_comparison(), quotable=())
     page = render_page(report_pages([ReportSection("x", none)]), title="x", command="x")
