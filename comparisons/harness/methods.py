@@ -11,7 +11,6 @@ import importlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any
@@ -187,10 +186,9 @@ class OwnFit:
         return {"estimator": self.name}
 
 
-@cache
 def named_methods() -> dict[str, str]:
-    """Return ``module:Class`` of the methods that have a name: the peers first."""
-    return PEERS | {p.name: p.value for p in entry_points(group="sindy_surge.methods")} | PEERS
+    """Return ``module:Class`` of the methods that have a name; no entry point takes a peer's."""
+    return {p.name: p.value for p in entry_points(group="sindy_surge.methods")} | PEERS
 
 
 def _class_of(given: str, called: str) -> Any:

@@ -181,17 +181,21 @@ def foretold_late(
     """
     from scipy.stats import gamma
 
-    mean = np.concatenate(list(inputs)).mean(axis=0)
-    read = [(e, u, np.flatnonzero(np.isfinite(e))) for e, u in zip(errors, inputs, strict=True)]
+    # What an input did is how it moved, in its own size: one that rests says nothing.
+    moved = [u - u[0] for u in inputs]
+    spread = np.std(np.concatenate(moved), axis=0)
+    acting = spread > 1e-9 * np.max(np.abs(np.concatenate(list(inputs))), axis=0)
+    read = [(e, u, np.flatnonzero(np.isfinite(e))) for e, u in zip(errors, moved, strict=True)]
     # An output that is read seldom may have too few readings in a run.
     long = [(e, u, rows) for e, u, rows in read if rows.size > MEMORY + 1 and np.ptp(e[rows]) > 0.0]
-    if not long:
+    if not (long and acting.any()):
         return 1.0
     runs = [e[rows] - e[rows].mean() for e, _, rows in long]
-    own = orthonormal(
-        np.concatenate([_earlier(u - mean)[rows[MEMORY - 1 : -1]] for _, u, rows in long])
-    )
-    if own.shape[0] < 2 * (own.shape[1] + MEMORY) or not own.shape[1]:
+    earlier = [
+        _earlier(u[:, acting] / spread[acting])[rows[MEMORY - 1 : -1]] for _, u, rows in long
+    ]
+    own = orthonormal(np.concatenate([x - x.mean(axis=0) for x in earlier]))
+    if own.shape[0] < 2 * (own.shape[1] + MEMORY):
         return 1.0
 
     def share(ones: Sequence[FloatArray]) -> float:

@@ -310,7 +310,8 @@ def _left_words(d: Diagnosis) -> str:
         if not np.isfinite(left):
             return f"The simulation of {name} fails on these records."
         scale, of = scale_of(unit, (left,)), SYMBOLS.get(name, name)
-        floor = " for a noise of {}" if d.of_series else ", of which {} is new in each sample"
+        # Of a model of one's own the floor is that of the fitted records.
+        floor = " for a noise of {}" if d.of_series else " ({} is new in each fitted sample)"
         noise = floor.format(scale.text(d.floor[j])) if j < len(d.floor) else ""
         listed.append(f"{scale.text(left)} in {of}{noise}")
     tau = f" τ = {d.tau_said[0]}." if d.tau_said[0] and d.lag_known else ""

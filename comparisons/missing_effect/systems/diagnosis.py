@@ -24,7 +24,6 @@ from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
     doubts_beside,
     doubts_of,
-    idle_words,
     left_words,
     leftover_of,
 )
@@ -228,17 +227,12 @@ def _concluded(
         or left.late
         or left.disturbed
     )
-    training = tuple(
-        _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
-        for r, e in enumerate(records.whole)
-    )
     return SystemDiagnosis(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
         parameters=_parameters(records, (before, before_cov), (after, after_cov)),
         unavailable=rounds[-1].refused if rounds else {},
         remarks=(
-            *idle_words(training),
             *_beyond_words(beyond),
             *_remarks(base, rounds, missing, left, gone, badly),
             *_refitted_words(checked),
@@ -249,7 +243,10 @@ def _concluded(
         before=before,
         after=after,
         offsets=_offsets(model, after, after_cov),
-        training=training,
+        training=tuple(
+            _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
+            for r, e in enumerate(records.whole)
+        ),
         checks=checked,
         floor=metric.sigma,
     )

@@ -64,8 +64,6 @@ LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
 BARELY = 1.1
 # A signal is said to be followed where chance does as well this seldom.
 FOLLOWED_P = 0.05
-# A model that leaves more than this share of an output's swing answers nothing; words alone.
-IDLE = 0.9
 # A term without a name that wins this share more on the rows fitted says that more is there.
 OUTFITTED_SHARE = 0.5
 
@@ -235,22 +233,6 @@ def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
     least = won + max(RIVALLED, OUTFITTED_SHARE * won)
     unnamed = [c.evidence for c in step.candidates if c.unnamed]
     return any(e.train > least and not e.at_end for e in unnamed)
-
-
-def idle_words(training: Sequence[CheckRun]) -> list[str]:
-    """Say of which outputs the model as given explains next to nothing."""
-    idle = [
-        f"{name} of {run.name}"
-        for run in training
-        for name, before, swing in zip(run.outputs, run.before_rms, run.swing, strict=True)
-        if before > IDLE * swing
-    ]
-    if not idle:
-        return []
-    return [
-        "The model as given hardly answers its inputs: its error is as large as the output itself "
-        f"moves in {', '.join(idle)}. Other starts or wider bounds may fit better."
-    ]
 
 
 def left_words(left: Leftover, named: bool) -> str:
