@@ -142,10 +142,10 @@ def test_errors_of_a_mode_that_is_missing_are_foretold_and_those_in_a_loop_are_n
     error = mode + np.std(mode) * noise
     # The second run has five readings, too few to say anything.
     seldom = np.where(np.arange(2000) % 400, np.nan, error)
-    assert nulls.foretold_late([error, seldom], [u[:, None]] * 2, rng) < nulls.LATE_P
+    assert nulls.foretold_late([error, seldom], [u[:, None]] * 2, rng) < nulls.LEAST_P
     slow = lfilter([1.0], [1.0, -0.9], noise)
     answer = u - 0.5 * np.roll(slow, 1)
-    assert nulls.foretold_late([slow], [answer[:, None]], rng) > nulls.LATE_P
+    assert nulls.foretold_late([slow], [answer[:, None]], rng) > nulls.LEAST_P
 
 
 def measured(folder: str, name: str) -> Experiment:
