@@ -19,6 +19,7 @@ from comparisons.page.style import (
     MARK,
     MEASURED,
     QUIET,
+    coefficient_symbol,
     dress,
     legend,
     new_figure,
@@ -285,7 +286,7 @@ def _curves(ax: Axes, d: LagDiagnosis) -> None:
         for curve, dashes in zip(curves, cycle(DASHES), strict=False):
             label = ", ".join(filter(None, (word, curve.label)))
             ax.plot(curve.phi, curve.value, color=colour, lw=1.7, ls=dashes, label=label)
-    title = r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$"
+    title = f"quasi-steady characteristic {coefficient_symbol('psi_p', quasi_steady=True)}"
     _name(ax, title, r"flow coefficient $\varphi$ [-]")
     legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
 

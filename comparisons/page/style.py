@@ -142,7 +142,8 @@ def figure_to_data_uri(figure: Figure) -> str:
 
 def coefficient_symbol(target: str, *, quasi_steady: bool = False) -> str:
     """Return ψ' or ψ as mathtext, optionally with the index of the quasi-steady curve."""
-    symbol = r"\psi'" if target == "psi_p" else r"\psi"
+    # The prime as a glyph: matplotlib draws that of mathtext as 0 where a font of its is not found.
+    symbol = "\\psi\u2032" if target == "psi_p" else r"\psi"
     index = r"_{\mathrm{QS}}" if quasi_steady else ""
     return f"${symbol}{index}$"
 

@@ -23,6 +23,7 @@ from comparisons.page.style import (
     MEASURED,
     PHI,
     broken,
+    coefficient_symbol,
     legend_above,
     panel,
     robust_limits,
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
+TIME, ACTUAL = "time [s]", f"instantaneous {coefficient_symbol('psi_p')} [-]"
+CURVE = coefficient_symbol("psi_p", quasi_steady=True)
 HEIGHT_IN = 5.4
 # How the rig's own signals and curves are drawn in every picture.
 TRUTH: dict[str, Any] = {"color": INK, "lw": 1.8, "linestyle": (0, (1, 1.2))}
@@ -187,7 +189,7 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
     model = run.fits["psi_p"]
-    figure, ax = panel(PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]", HEIGHT_IN)
+    figure, ax = panel(PHI, f"quasi-steady {CURVE} [-]", HEIGHT_IN)
     _curve(ax, model, PAPER_PHI_985, ACCENT, "estimate, 98.5 % speed, ± 2 s.e.", grid)
     ax.plot(grid, run.machine.in_stall_psi_p(grid), **TRUTH, label="truth of the rig")
     phi, psi_p, spread = steady_points(steady.paper.series)
@@ -212,7 +214,7 @@ def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     figure, ax = panel(PHI, "quasi-steady coefficient [-]", HEIGHT_IN)
     off, case = {}, run.machine
     for target, truth, colour, symbol in (
-        ("psi_p", case.in_stall_psi_p, ACCENT, r"$\psi'_{\mathrm{QS}}$"),
+        ("psi_p", case.in_stall_psi_p, ACCENT, CURVE),
         ("psi", case.in_stall_psi, MARK, r"$\psi_{\mathrm{QS}}$"),
     ):
         model = run.fits[target]

@@ -122,7 +122,7 @@ def curve_picture(
     # Rows just behind the entry into stall lie far above the curve, by the lag.
     ends = np.percentile(curve.measured, CENTRAL) if curve.measured.size else np.zeros(0)
     ax.set_ylim(*style.robust_limits(curve.value, ends, margin=0.12))
-    style.legend_above(figure, ax)
+    style.legend_above(figure, ax, columns=3 if histogram else 2)
     at = [
         f"{round_to_error(float(value), float(error))} at φ = {phi:.3f}"
         for phi, value, error in zip(curve.phi, curve.value, curve.stderr, strict=True)
