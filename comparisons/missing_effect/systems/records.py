@@ -124,7 +124,7 @@ def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
     sd = np.where(np.isfinite(sd), sd, fit.scale[: sd.size])
     # The likelihood counts each row as new. Errors that go together for many rows say as much as
     # one: what is known of a record's parameter must weigh against them so much more.
-    rows = np.sqrt(_rows_together(fit))
+    rows = np.sqrt(rows_together(fit))
     for i, p in enumerate(model.per_record.values(), start=model.own_states):
         found = np.array([start[i] for start in fit.starts])
         whole, least = 0.5 * (p.high - p.low), 1e-3 * (p.high - p.low)
@@ -133,7 +133,7 @@ def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
     return Run.of(model, experiment, fit.structure.between, records.span, (mean, sd))
 
 
-def _rows_together(fit: Fit) -> float:
+def rows_together(fit: Fit) -> float:
     """Return over how many rows errors of a fit go together: the sum of their correlations."""
     longest = 1.0
     for errors in fit.errors:
