@@ -106,21 +106,23 @@ class FitState(StrEnum):
     )
     UNEXPLAINED = (
         "unexplained",
-        "the equations leave more than the noise, and what they leave comes in runs: a term that "
-        "the library lacks, a state that was not measured, or an input that is missing; widen the "
-        "library, or give the hidden state",
+        "the equations leave more than white noise, and what they leave comes in runs: a term that "
+        "the library lacks, a state that was not measured, an input that is missing, a parameter "
+        "that moves, or a sensor that clips, filters or drifts; widen the library, give the hidden "
+        "state, or look at the sensors",
     )
     COLOURED_REST = (
         "coloured_rest",
         "the equations follow the data within the noise, but what they leave comes in runs: a term "
-        "that the library lacks is made up for by others, or the noise is not white; coefficients "
-        "are off by more than their errors say: widen the library, or measure without a filter",
+        "that the library lacks is made up for by others, the noise is not white, or an input has "
+        "noise; coefficients are off by more than their errors say: widen the library, or measure "
+        "without a filter",
     )
     ODD_ROWS = (
         "odd_rows",
         "single rows lie farther from the equations than normal noise does, and coefficients are "
-        "bent towards them: look at the rows in which `x_` is farthest from x, and cut the record "
-        "there",
+        "bent towards them: look where a reading is farthest from the run of the equations, and "
+        "cut the record there; or the noise grows with the reading",
     )
     COARSE_ROWS = (
         "coarse_rows",
@@ -134,6 +136,12 @@ class FitState(StrEnum):
         "than it costs: the terms stated make up for another law, such as x/(1 + x): widen the "
         "library",
     )
+    READ_LATE = (
+        "read_late",
+        "readings that come late explain the record with fewer terms: the equations stated are "
+        "those with these readings moved; check their sensor for a delay, a lag or a clock of its "
+        "own, and discover again with the column set right",
+    )
     UNDECIDED = (
         "undecided",
         "the rivals are together likelier than the equations stated: the record does not tell "
@@ -142,7 +150,8 @@ class FitState(StrEnum):
     NO_EQUATIONS = (
         "no_equations",
         "no model was found that the data follow, and none is stated: check that every state was "
-        "measured, and on one clock; take shorter records, or a smaller library",
+        "measured, and on one clock, and that no angle jumps by a turn; take shorter records, or a "
+        "smaller library",
     )
     SHORT_RUNS_ONLY = (
         "short_runs_only",

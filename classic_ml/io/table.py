@@ -18,8 +18,8 @@ BLOCK_ROWS = 1 << 18
 # What states the unit of a column, in small letters, in the order in which they are believed.
 UNIT_NAMES = ("unit_string", "units", "unit", "ni_unitdescription", "engineering_units")
 NOT_FINITE_REMEDY = (
-    "cut the record there, repair the channel, or leave a probe and its mate out of test.toml, "
-    'with other_columns = "ignore" in [file]'
+    "cut the record there, or repair the channel; of a raw record a probe and its mate can be left "
+    'out of test.toml, with other_columns = "ignore" in [file]'
 )
 # How many groups a sentence names.
 NAMED = 6
@@ -51,7 +51,9 @@ class StoredTable:
                     f"{self.source}: column {name}",
                     expected="each column once, under a name",
                     found=f"it {count} times" if name else "one without a name",
-                    remedy="" if name else "does every row end with a comma?",
+                    remedy=""
+                    if name
+                    else "does every row end with a comma, or a line stand above the names?",
                 )
 
     def blocks(self, names: tuple[str, ...]) -> Iterator[Columns]:

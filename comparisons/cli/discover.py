@@ -52,6 +52,8 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     if both := [name for name in inputs if name in states]:
         raise InputError("--inputs", expected="columns that are no states", found=", ".join(both))
     hidden = _names("--hidden", given.hidden)
+    if both := [name for name in hidden if name in (*states, *inputs)]:
+        raise InputError("--hidden", expected="states that no column holds", found=", ".join(both))
     names = ", ".join(path.name for path in given.files)
     with shown_steps(3) as begin:
         begin("reading")
@@ -127,7 +129,7 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
                 str(path),
                 expected="the columns " + ", ".join(wanted),
                 found="none called " + ", ".join(missing),
-                remedy="its columns are " + ", ".join(stored.names),
+                remedy="the first line holds the names; here these are " + ", ".join(stored.names),
             )
         blocks = stored.blocks(wanted)
         table = np.concatenate([np.column_stack(block) for block in blocks]).astype(np.float64)
@@ -139,16 +141,20 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
                 found=f"{values[~np.isfinite(values)][0]:g}",
                 remedy="cut the record there and give the parts as files",
             )
-    steps = np.diff(table[:, 0])
-    odd = np.flatnonzero((steps <= 0.0) | (steps > 5.0 * np.median(steps)))
+    steps, sorted_steps = np.diff(table[:, 0]), np.diff(np.sort(table[:, 0]))
+    usual = np.median(sorted_steps) if steps.size else 0.0
+    odd = np.flatnonzero((steps <= 0.0) | (steps > 5.0 * usual))
     if odd.size:
+        remedy = "cut the record there and give the parts as files"
+        if np.any(steps < 0.0) and np.ptp(sorted_steps) < usual:
+            remedy = "sort the rows by time"
+        elif np.count_nonzero(steps == 0.0) > 1:
+            remedy = "write the time with more digits"
         raise InputError(
             f"{path}: column time_s",
             expected="times that rise without gaps",
             found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
-            remedy="sort the rows by time"
-            if np.any(steps < 0.0) and np.ptp(np.diff(np.sort(table[:, 0]))) < np.median(steps)
-            else "cut the record there and give the parts as files",
+            remedy=remedy,
         )
     return table
 

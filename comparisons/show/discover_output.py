@@ -37,6 +37,7 @@ def discover_document(model: SparseDynamics) -> dict[str, Any]:
             for rival in model.rivals_
             if stated
         ],
+        "late": _late(model),
         "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False)),
         "fit_state": {"code": model.state_.code, "advice": model.state_.advice},
     }
@@ -61,6 +62,7 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
         return (head,)
     named = zip(model.state_names_, model.equation_terms_, strict=True)
     equations = [f"d{state}/dt = {_written(terms)}" for state, terms in named]
+    equations += [model.late_.words(model.state_names_)] if model.late_ is not None else []
     rivals = [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
     tried = f"{len(model.path_)} models compared"
     words = f"rivals: none within 5 of the log-likelihood ({tried})"
@@ -70,6 +72,14 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
             "cannot be excluded"
         )
     return (head, *equations, words, *rivals)
+
+
+def _late(model: SparseDynamics) -> dict[str, Any] | None:
+    late = model.late_
+    if late is None:
+        return None
+    states = [model.state_names_[i] for i in late.states]
+    return {"states": states, "how": late.how, "value_s": late.late_s, "stderr_s": late.stderr_s}
 
 
 def _written(terms: Sequence[Term]) -> str:

@@ -60,6 +60,8 @@ class Collocation:
     rows: int | None = None
     # Parts of a step in Runge and Kutta's rule; 0 for the rule of Hermite and Simpson
     parts: int = 0
+    # States whose readings may be late, which is left free beside the terms of a regression
+    late: Support = ()
     joined: BoolArray = field(init=False)
     middle: FloatArray = field(init=False)  # Inputs half-way to the next row, and on arrival there
     end: FloatArray = field(init=False)
@@ -144,8 +146,19 @@ class Collocation:
 
     def regression(self, fit: Fit) -> LinearProblem:
         """Return the regression on all terms that are not given about a fit."""
-        white = self._about(fit.x, fit.xi).whitened(np.arange(fit.xi.size))
-        return without_nuisances(np.zeros((white.target.size, 0)), white.columns, white.target)
+        about = self._about(fit.x, fit.xi)
+        white = about.whitened(np.arange(fit.xi.size))
+        return without_nuisances(about.late_column(white), white.columns, white.target)
+
+    def lateness(self, support: Support, fit: Fit) -> tuple[float, float]:
+        """Return by how many seconds readings are later than thought, and the standard error."""
+        about = self._about(fit.x, fit.xi)
+        every = np.union1d(np.flatnonzero(fit.xi.T.ravel()), np.array(support, dtype=np.intp))
+        white = about.whitened(every)
+        own = white.columns[:, np.isin(every, support)]
+        columns = np.column_stack((about.late_column(white), own))
+        inverse = _inverse(columns.T @ columns)
+        return float((inverse @ (columns.T @ white.target))[0]), float(np.sqrt(inverse[0, 0]))
 
     def _about(self, x: FloatArray, xi: FloatArray) -> _About:
         return _Shot(self, x, xi, self.parts) if self.parts else _About(self, x, xi)
@@ -230,6 +243,17 @@ class _About:
         white = _solved(factor, np.column_stack((G, rho)))
         return _Whitened(white[:, :-1], white[:, -1], factor, before, after)
 
+    def late_column(self, white: _Whitened) -> FloatArray:
+        """Return how readings that come one second later move the target; no column if none do."""
+        late, data = list(self.problem.late), self.problem.data
+        if not late:
+            return np.zeros((white.target.size, 0))
+        rate, moved = self.problem.features.values(self.x, data.u) @ self.total, 0.0 * self.x
+        moved[:, late] = (rate / self.problem.noise)[:, late]
+        rho = np.einsum("kij,kj->ki", white.before, moved[:-1])
+        rho += np.einsum("kij,kj->ki", white.after, moved[1:])
+        return -_solved(white.factor, rho.reshape(-1, 1))
+
     def states(self, white: _Whitened, best: FloatArray) -> tuple[FloatArray, float]:
         """Return the states that go with coefficients, and the squared error there."""
         problem = self.problem
@@ -294,9 +318,11 @@ class _Shot(_About):
 def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatArray:
     """Return the banded Cholesky factor of S = A Aᵀ."""
     K, n, _ = before.shape
-    own = before @ before.transpose(0, 2, 1) + after @ after.transpose(0, 2, 1)
+    # What is not finite is refused below.
+    with np.errstate(all="ignore"):
+        own = before @ before.transpose(0, 2, 1) + after @ after.transpose(0, 2, 1)
+        next_one = before[1:] @ after[:-1].transpose(0, 2, 1)
     own[~joined] = np.eye(n)
-    next_one = before[1:] @ after[:-1].transpose(0, 2, 1)
     band = np.zeros((2 * n, K * n))
     for a in range(n):
         for b in range(a, n):

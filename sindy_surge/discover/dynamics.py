@@ -11,8 +11,10 @@ from scipy.stats import chi2, norm
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
+from sindy_surge.discover.late import Late, read_late
 from sindy_surge.discover.levels import RIVAL, Level, pays_beyond, search_by_levels
 from sindy_surge.discover.trajectories import (
     LEAST_NOISE,
@@ -40,6 +42,9 @@ _EXCESS = 1.2
 # coefficients were off by seven and more of their stated errors.
 _LAGS = 10
 _BY_CHANCE = 1e-4
+# States that state equations without reserve; and those in which late readings may hide.
+_CLEAN = (FitState.OK, FitState.UNDECIDED)
+_MAY_BE_LATE = (*_CLEAN, FitState.LIBRARY_TOO_SMALL, FitState.COLOURED_REST)
 
 
 class SparseDynamics(BaseEstimator):
@@ -83,11 +88,15 @@ class SparseDynamics(BaseEstimator):
         trajectories first, best first, then on shorter segments.
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
+    late_ : Late or None
+        Which readings come late, by how much and how, where that is found.
     held_inputs_ : tuple of str
         Inputs that are held from each row to the next.
     state_ : FitState
         How it ended, with advice.
     """
+
+    state_: FitState
 
     def __init__(
         self,
@@ -147,11 +156,23 @@ class SparseDynamics(BaseEstimator):
                 remedy="pass SmoothedFiniteDifference(), for one",
             )
         data = Trajectories.of(x, t, u, feature_names)
-        _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names)
         given = [self.state_names_.index(name) for name in self._known]
         optimizer = self.optimizer if self.optimizer is not None else STLSQ()
-        self._keep(*search_by_levels(problem, rates, given, optimizer, full=self.search == "full"))
+        full = self.search == "full"
+        levels, best = search_by_levels(problem, rates, given, optimizer, full=full)
+        self._keep(levels, best)
+        before = self.state_
+        if not full or before not in _MAY_BE_LATE:
+            return self
+        if (moved := read_late(levels[0], best, rates, given, optimizer)) is not None:
+            level, fewer, late = moved
+            self._keep([level, *levels], fewer, late)
+            if before in _CLEAN:
+                self.state_ = FitState.READ_LATE
+            elif self.state_ is not FitState.READ_LATE:
+                # With the readings moved something else is missing as well.
+                self._keep(levels, best)
         return self
 
     # -- What was found ---------------------------------------------------------------------------
@@ -197,6 +218,8 @@ class SparseDynamics(BaseEstimator):
         left = lhs or [f"({name})'" for name in self.state_names_]
         for one, other in zip(left, self.equations(precision), strict=True):
             sys.stdout.write(f"{one} = {other}\n")
+        if self.late_ is not None:
+            sys.stdout.write(f"{self.late_.words(self.state_names_)}\n")
         if self.state_ is not FitState.OK:
             sys.stdout.write(f"{self.state_}: {self.state_.advice}\n")
 
@@ -289,7 +312,7 @@ class SparseDynamics(BaseEstimator):
         _as_fitted("x", data.y.shape[1], [n for n in self.state_names_ if n not in self.hidden])
         _as_fitted("u", data.u.shape[1], self.input_names_)
         data = replace(data, held=self.search_.likelihood.data.held)
-        _moving(data.y, self.state_names_)
+        _apart(data.y, self.state_names_)
         problem = Collocation(
             self._with_hidden(data, self._known),
             self._features,
@@ -321,6 +344,7 @@ class SparseDynamics(BaseEstimator):
         _check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
         states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
+        _apart(np.column_stack((data.y, data.u)), named)
         known = self._checked_known()
         noise = data.noise
         data = self._with_hidden(data, known)
@@ -413,7 +437,7 @@ class SparseDynamics(BaseEstimator):
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.runs.slices()]
         return np.concatenate(parts)
 
-    def _keep(self, searches: list[Level], best: Tried[Fit]) -> None:
+    def _keep(self, searches: list[Level], best: Tried[Fit], late: Late | None = None) -> None:
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
         problem = search.likelihood
         if not np.isfinite(best.score):
@@ -425,6 +449,7 @@ class SparseDynamics(BaseEstimator):
         self.search_, self.best_ = search, best
         named = zip(self.input_names_, problem.data.held, strict=True)
         self.held_inputs_ = tuple(name for name, held in named if held)
+        self.late_ = late
         self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
         self.candidate_terms_ = features.names
@@ -490,11 +515,12 @@ class SparseDynamics(BaseEstimator):
             > len(best.support),
             FitState.COLOURED_REST: np.any(coloured),
             FitState.ODD_ROWS: any(map(np.any, far)),
+            FitState.READ_LATE: self.late_ is not None,
             # The weight of a model is e to its score.
             FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
         }
         state = next((state for state, is_so in found.items() if is_so), FitState.OK)
-        asked = state in (FitState.OK, FitState.UNDECIDED) and np.any(np.std(left, axis=0) > least)
+        asked = state in (*_CLEAN, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least)
         small = asked and pays_beyond(self.search_, best)
         return FitState.LIBRARY_TOO_SMALL if small else state
 
@@ -514,15 +540,17 @@ def _coloured(left: FloatArray, runs: Segments) -> BoolArray:
     return np.asarray(chi2.sf(q, _LAGS) < _BY_CHANCE)
 
 
-def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
-    still = np.flatnonzero(np.ptp(y, axis=0) <= 1e-12 * np.abs(y).max(axis=0))
-    if still.size:
-        name = names[still[0]] if names is not None else f"x{still[0]}"
+def _apart(columns: FloatArray, names: Sequence[str]) -> None:
+    """Refuse a column that does not move, or that others give without error."""
+    still = np.ptp(columns, axis=0) <= 1e-12 * np.abs(columns).max(axis=0)
+    spread = np.where(still, 1.0, np.std(columns, axis=0))
+    own = independent_columns((columns - columns.mean(axis=0)) / spread)
+    for j in np.setdiff1d(np.arange(len(still)), own):
         raise InputError(
-            str(name),
-            expected="a state that moves",
-            found="a constant",
-            remedy="leave the state out",
+            names[j],
+            expected="a column that moves by itself",
+            found="a constant" if still[j] else "what the columns before it give without error",
+            remedy="leave it out: no record can part what it does from what they do",
         )
 
 

@@ -48,7 +48,7 @@ def search_by_levels(
 
     All is done again by a finer rule between rows where that matters.
     """
-    found = _searched(problem, rates, given, optimizer, None, full=full)
+    found = searched(problem, rates, given, optimizer, None, full=full)
     for parts in _PARTS:
         levels, best = found
         last, most = levels[0].likelihood, _COARSE * len(best.support)
@@ -59,14 +59,14 @@ def search_by_levels(
         if few and parts < _PARTS[-1]:
             continue
         finer = replace(problem, parts=parts)
-        again = _searched(finer, rates, given, optimizer, best.fit, full=full)
+        again = searched(finer, rates, given, optimizer, best.fit, full=full)
         # Not where only shorter stretches are followed.
         whole = again[0][0].likelihood.rows is None or last.rows is not None
         found = again if whole and np.isfinite(again[1].score) else found
     return found
 
 
-def _searched(
+def searched(
     problem: Collocation,
     rates: FloatArray,
     given: Sequence[int],
@@ -75,6 +75,7 @@ def _searched(
     *,
     full: bool,
 ) -> tuple[list[Level], Tried[Fit]]:
+    """Return the supports tried at each length of segments, and the best, by one rule."""
     n_terms, n_states = problem.known.shape
     # Inputs that exclude one another have a product of nothing; a library may hold a term twice.
     there = independent_columns(problem.features.values(problem.data.y, problem.data.u))
@@ -124,7 +125,7 @@ def _searched(
 
 
 def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
-    """Tell whether a product of a term with a state or an input would pay its price.
+    """Tell whether a product of a term with a state or an input pays, beside terms or for them.
 
     Cubics follow x/(1 + x) so well that what they leave is as good as white noise; x⁴, a product
     of a term and a state, still explains more than it costs.
@@ -135,11 +136,20 @@ def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
     more = wide.kept.size - n
     known, xi = (np.pad(each, ((0, more), (0, 0))) for each in (problem.known, best.fit.xi))
     linear = replace(problem, features=wide, known=known).regression(replace(best.fit, xi=xi))
-    free = {i // n for equation in level.equations for i in equation}
-    beyond = tuple(s * (n + more) + n + i for s in sorted(free) for i in range(more))
-    kept = tuple(i // n * (n + more) + i % n for i in best.support)
-    price = level.price + 2.0 * float(np.log((n + more) / n))
-    return min(best_of_equation(linear, beyond, kept, price, 1, 1))[1] != kept
+    free = sorted({i // n for equation in level.equations for i in equation})
+    wide_n = n + more
+    beyond = tuple(s * wide_n + n + i for s in free for i in range(more))
+    kept = tuple(i // n * wide_n + i % n for i in best.support)
+    price = level.price + 2.0 * float(np.log(wide_n / n))
+    if min(best_of_equation(linear, beyond, kept, price, 1, 1))[1] != kept:
+        return True
+    # T⁴ in place of T, T² and T³ pays, where beside these it does not.
+    for s in free:
+        own, rest = range(s * wide_n, (s + 1) * wide_n), tuple(i for i in kept if i // wide_n != s)
+        score, found = min(best_of_equation(linear, tuple(own), rest, price))
+        if set(found) & set(beyond) and score < linear.score(kept, price) - RIVAL:
+            return True
+    return False
 
 
 def _proposals(
@@ -193,13 +203,18 @@ def _start(problem: Collocation, rates: FloatArray, free: IndexArray) -> Fit:
     """Return the whole library by regression on derivatives."""
     x = problem.data.smooth()
     x[:, problem.hidden] = problem.data.y[:, problem.hidden]
+    return start_about(problem, x, rates, free.size)
+
+
+def start_about(problem: Collocation, x: FloatArray, rates: FloatArray, n_free: int = 0) -> Fit:
+    """Return the whole library by regression of derivatives at states."""
     theta = problem.features.values(x, problem.data.u)
     size = _size(theta)
     scaled = theta / size
     small = _START_RIDGE * len(scaled) * np.eye(size.size)
     target = scaled.T @ (rates - theta @ problem.known)
     xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
-    return Fit(xi, x, np.inf, np.eye(free.size), False)
+    return Fit(xi, x, np.inf, np.eye(n_free), False)
 
 
 def _size(theta: FloatArray) -> FloatArray:

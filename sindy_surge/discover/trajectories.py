@@ -178,14 +178,6 @@ class Trajectories:
         run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
         runs = Segments.from_labels(run, run.size)
         inputs = np.concatenate(us)
-        idle = np.flatnonzero(~inputs.any(axis=0))
-        if idle.size:
-            raise InputError(
-                "u",
-                expected="inputs that act",
-                found=f"only zeros in column {idle[0]}",
-                remedy="leave the input out",
-            )
         smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
         return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, smooth)
 
@@ -207,6 +199,21 @@ class Trajectories:
             for rows in self.runs.slices():
                 result[rows, j] = smoothed(self.y[rows, j], noise)
         return result
+
+    def moved(
+        self, late: Sequence[int], late_s: float, x: FloatArray, *, lag: bool
+    ) -> Trajectories:
+        """Return them with the readings of some states as they were before a delay or a lag.
+
+        Their noise stays as it is: only the way of the readings ``x`` without noise is made up.
+        """
+        y, columns = self.y.copy(), list(late)
+        for rows in self.runs.slices():
+            t = self.time_s[rows]
+            smooth = make_interp_spline(t, x[rows][:, columns])
+            way = late_s * smooth(t, 1) if lag else smooth(t + late_s) - smooth(t)
+            y[rows, columns] += way
+        return replace(self, y=y)
 
     def within(self, rows: int | None = None) -> BoolArray:
         """Return whether a row and the next belong together, (n_rows - 1,).

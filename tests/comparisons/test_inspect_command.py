@@ -35,9 +35,7 @@ def inspected(folder: Path, columns: Columns) -> Inspection:
 
 def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
     """Against a second way to count them, on columns with every kind of fault."""
-    rng = np.random.default_rng(7)
-    n = 2000
-    time_s = np.arange(n) / 500.0
+    n, rng = 2000, np.random.default_rng(7)
     noise = rng.normal(size=n)
     clipped = np.clip(noise, -1.2, 3.0)
     clipped[800:809] = -1.2
@@ -46,7 +44,7 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
     spoiled = np.array(noise)
     spoiled[[41, 700]] = np.nan, np.inf
     columns = {
-        "time_s": time_s,
+        "time_s": np.arange(n) / 500.0,
         "noise": noise,
         "clipped": clipped,
         "stuck": stuck,
@@ -106,12 +104,8 @@ def test_a_file_that_is_looked_through_in_pieces_is_found_the_same(
     time_s = np.arange(1000) / 100.0
     time_s[500:] += 0.3
     wave = np.sin(np.arange(1000) / 15.0) + 1e-3 * rng.standard_normal(1000)
-    columns = {
-        "t": time_s,
-        "nan": np.where(wave > 0.9, np.nan, wave),
-        "cut": np.minimum(wave, 0.8),
-    }
-    whole = inspected(tmp_path, columns)
+    gone = np.where(wave > 0.9, np.nan, wave)
+    whole = inspected(tmp_path, {"t": time_s, "nan": gone, "cut": np.minimum(wave, 0.8)})
     facts = {channel.name: channel for channel in whole.channels}
     assert facts["cut"].plateaus == ("maximum",)
     monkeypatch.setattr("classic_ml.io.csv.BLOCK_BYTES", 16_000)
@@ -231,32 +225,12 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     found = tomllib.loads(draft_test_toml(inspect_file(tmp_path / "raw.csv")))
     assert found["test"]["sample_rate_hz"] == 2000.0
     assert found["file"] == {"time": "Time [ms]", "time_unit": "ms", "other_columns": "ignore"}
-    assert list(found["channels"].values()) == [
-        {
-            "column": 'PT25 "A" tip fwd [psia]',
-            "kind": "pressure",
-            "unit": "psia",
-            "plane": 25,
-            "rake": "A",
-            "immersion": "tip",
-            "facing": "forward",
-        },
-        {
-            "column": "TT31-B (degF)",
-            "kind": "temperature",
-            "unit": "degF",
-            "plane": 31,
-            "rake": "B",
-        },
-        {
-            "column": "P31 rake C hub aft [kPa]",
-            "kind": "pressure",
-            "unit": "kPa",
-            "plane": 31,
-            "rake": "C",
-            "immersion": "hub",
-            "facing": "aft",
-        },
+    keys = ("column", "kind", "unit", "plane", "rake", "immersion", "facing")
+    _, forward, heat, aft, _ = columns
+    assert [tuple(map(channel.get, keys)) for channel in found["channels"].values()] == [
+        (forward, "pressure", "psia", 25, "A", "tip", "forward"),
+        (heat, "temperature", "degF", 31, "B", None, None),
+        (aft, "pressure", "kPa", 31, "C", "hub", "aft"),
     ]
     assert list(found["defaults"]) == ["*25*tip*", "temperature", "*31*hub*"]
     assert "adc" not in found

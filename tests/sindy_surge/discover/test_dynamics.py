@@ -183,6 +183,7 @@ def test_a_missing_state_is_not_called_ok():
     ("rate", "starts", "noise", "state"),
     [
         (lambda q, w: [w, -np.sin(q) - 0.1 * w], [2], 0.02, "coloured_rest"),
+        (lambda T, q: [q / 2 - T**4 / 20, 2 - T * q / 2], [0.3, 3], 0.02, "library_too_small"),
         (
             lambda x, y: [y - 2 * x / (1 + x), 0.6 - y * (0.3 + x)],
             [2, 4],
@@ -192,11 +193,33 @@ def test_a_missing_state_is_not_called_ok():
     ],
 )
 def test_a_term_that_the_library_lacks_is_not_called_ok(rate, starts, noise, state, seed):
-    """Cubics leave 1.03 times a pendulum's noise, not white, and of x/(1 + x) what x⁴ sees."""
+    """Cubics leave 1.03 times a pendulum's noise, not white, and of x/(1 + x) what x⁴ sees.
+
+    T⁴ takes the place of several terms, beside which it says nothing new.
+    """
     rng, t = np.random.default_rng(seed), np.arange(1500) * STEP_S
     runs = [solved(rate, [start, 0.0], t) for start in starts]
     noisy = [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs]
     assert SparseDynamics().fit(noisy, t).state_.code == state
+
+
+@pytest.mark.parametrize("how", ["delay", "lag"])
+def test_a_reading_that_comes_late_is_reported_and_moved(how):
+    """Else prey and hunters have x²y and xy², each at thirty of their errors and more, and ok."""
+    true = {"x": 1.0, "x y": -0.5}, {"y": -0.8, "x y": 0.3}
+    t = np.arange(840) * 0.05
+    run = solved(lambda x, y, r: [x - x * y / 2, (0.3 * x - 0.8) * y, 10 * (y - r)], [2, 1, 1], t)
+    y = np.column_stack((run[40:, 0], run[40:, 2] if how == "lag" else run[38:-2, 1]))
+    for seed in range(2):
+        noise = 0.02 * y.std(axis=0) * np.random.default_rng(seed).standard_normal(y.shape)
+        model = SparseDynamics().fit(y + noise, 0.05, None, ["x", "y"])
+        late = model.late_
+        assert (model.state_.code, late.states) == ("read_late", (1,))
+        assert how in late.how
+        assert abs(late.late_s - 0.1) < 4.0 * late.stderr_s < 0.01
+        for terms, expected in zip(model.equation_terms_, true, strict=True):
+            assert {term.name for term in terms} == set(expected)
+            assert all(abs(t.coefficient - expected[t.name]) < 4.0 * t.stderr for t in terms)
 
 
 def test_on_few_rows_the_truth_is_stated_or_among_rivals_that_are_likelier():
@@ -256,7 +279,8 @@ def test_bad_options_are_named(options, where):
         ([np.random.default_rng(0).random((100, 2))] * 2, 0.1, None, "x of trajectory 1"),
         (np.random.default_rng(0).random((100, 2)), -0.1, None, "t"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.ones(50), "u of trajectory 0"),
-        (np.random.default_rng(0).random((100, 2)), 0.1, np.zeros(100), "u"),
+        (np.random.default_rng(0).random((100, 2)), 0.1, np.full(100, 0.5), "u0"),
+        (np.random.default_rng(0).random((100, 1)) * [1, 2], 0.1, None, "x1"),
         (np.ma.masked_less(np.random.default_rng(0).random((100, 2)), 0.1), 0.1, None, "x"),
         (np.random.default_rng(0).random((3, 2)), np.arange(3).astype("m8[s]"), None, "t"),
     ],
