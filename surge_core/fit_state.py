@@ -132,15 +132,14 @@ class FitState(StrEnum):
     )
     LIBRARY_TOO_SMALL = (
         "library_too_small",
-        "a product of a term with a state or an input, which the library lacks, would explain more "
-        "than it costs: the terms stated make up for another law, such as x/(1 + x): widen the "
-        "library",
+        "a term that the library lacks would explain more than it costs: the terms stated make up "
+        "for another law, such as x/(1 + x): widen the library",
     )
     READ_LATE = (
         "read_late",
         "readings that come late explain the record with fewer terms: the equations stated are "
         "those with these readings moved; check their sensor for a delay, a lag or a clock of its "
-        "own, and discover again with the column set right",
+        "own and set the column right, or look for a state between that was not measured",
     )
     UNDECIDED = (
         "undecided",

@@ -38,6 +38,7 @@ def discover_document(model: SparseDynamics) -> dict[str, Any]:
             if stated
         ],
         "late": _late(model),
+        "beyond": list(model.beyond_),
         "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False)),
         "fit_state": {"code": model.state_.code, "advice": model.state_.advice},
     }
@@ -62,6 +63,8 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
         return (head,)
     named = zip(model.state_names_, model.equation_terms_, strict=True)
     equations = [f"d{state}/dt = {_written(terms)}" for state, terms in named]
+    if model.beyond_:
+        equations.append(f"beyond the library: {', '.join(model.beyond_)} would pay")
     equations += [model.late_.words(model.state_names_)] if model.late_ is not None else []
     rivals = [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
     tried = f"{len(model.path_)} models compared"

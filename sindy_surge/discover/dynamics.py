@@ -88,6 +88,8 @@ class SparseDynamics(BaseEstimator):
         trajectories first, best first, then on shorter segments.
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
+    beyond_ : tuple of str
+        Terms beyond the library that would pay their price, beside those stated or for them.
     late_ : Late or None
         Which readings come late, by how much and how, where that is found.
     held_inputs_ : tuple of str
@@ -468,6 +470,7 @@ class SparseDynamics(BaseEstimator):
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
+        self.beyond_: tuple[str, ...] = ()
         self.state_ = self._state(problem, best)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
@@ -520,9 +523,11 @@ class SparseDynamics(BaseEstimator):
             FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
         }
         state = next((state for state, is_so in found.items() if is_so), FitState.OK)
-        asked = state in (*_CLEAN, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least)
-        small = asked and pays_beyond(self.search_, best)
-        return FitState.LIBRARY_TOO_SMALL if small else state
+        if state in (*_MAY_BE_LATE, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
+            columns = (*self.state_names_, *self.input_names_)
+            self.beyond_ = pays_beyond(self.search_, best, columns)
+        clean = state is not FitState.COLOURED_REST
+        return FitState.LIBRARY_TOO_SMALL if self.beyond_ and clean else state
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

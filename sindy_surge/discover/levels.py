@@ -124,11 +124,11 @@ def searched(
     return levels, best
 
 
-def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
-    """Tell whether a product of a term with a state or an input pays, beside terms or for them.
+def pays_beyond(level: Level, best: Tried[Fit], columns: Sequence[str]) -> tuple[str, ...]:
+    """Return which terms beyond the library would pay their price, beside terms or for them.
 
     Cubics follow x/(1 + x) so well that what they leave is as good as white noise; x⁴, a product
-    of a term and a state, still explains more than it costs.
+    of a term and a state, still explains more than it costs. ``columns`` name states and inputs.
     """
     problem = level.likelihood
     n = problem.known.shape[0]
@@ -141,15 +141,16 @@ def pays_beyond(level: Level, best: Tried[Fit]) -> bool:
     beyond = tuple(s * wide_n + n + i for s in free for i in range(more))
     kept = tuple(i // n * wide_n + i % n for i in best.support)
     price = level.price + 2.0 * float(np.log(wide_n / n))
-    if min(best_of_equation(linear, beyond, kept, price, 1, 1))[1] != kept:
-        return True
+    found = min(best_of_equation(linear, beyond, kept, price, 1, 1))[1]
     # T⁴ in place of T, T² and T³ pays, where beside these it does not.
-    for s in free:
+    for s in free if found == kept else ():
         own, rest = range(s * wide_n, (s + 1) * wide_n), tuple(i for i in kept if i // wide_n != s)
-        score, found = min(best_of_equation(linear, tuple(own), rest, price))
-        if set(found) & set(beyond) and score < linear.score(kept, price) - RIVAL:
-            return True
-    return False
+        score, other = min(best_of_equation(linear, tuple(own), rest, price))
+        if score < linear.score(kept, price) - RIVAL:
+            found = other
+            break
+    names = wide.others(columns)
+    return tuple(names[i % wide_n - n] for i in sorted(set(found) & set(beyond)))
 
 
 def _proposals(

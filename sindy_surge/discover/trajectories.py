@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -93,33 +94,64 @@ class Features:
         return self.names.index(plain)
 
 
+# Laws of one quantity that a library of polynomials lacks, by what a sentence calls them.
+_LAWS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "sqrt|{}|": lambda z: np.sqrt(np.abs(z)),
+    "|{0}| {0}": lambda z: np.abs(z) * z,
+    "sin({})": np.sin,
+    "cos({})": np.cos,
+}
+
+
 @dataclass(frozen=True)
 class WiderFeatures(Features):
-    """The terms of a library, and their products with states and inputs, which no model holds."""
+    """The terms of a library, and others that no model holds: products, and laws of one quantity.
 
-    kept: IntArray  # All terms, then products that no earlier columns reproduce
+    Products are those of a term with a state or an input.
+    """
+
+    kept: IntArray  # All terms, then others that no earlier columns reproduce
 
     @classmethod
     def of_features(cls, features: Features, x: FloatArray, u: FloatArray) -> WiderFeatures:
-        """Return the terms of a library, which come first, and its products on a record."""
+        """Return the terms of a library, which come first, and the others on a record."""
         n = len(features.names)
         every = cls(features.library, features.names, features.size, np.arange(0))
-        kept = independent_columns(every._with_products(x, u), _ALIAS)
+        kept = independent_columns(every._with_others(x, u), _ALIAS)
         return replace(every, kept=np.concatenate((np.arange(n), kept[kept >= n])))
 
-    def _with_products(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        own = super().values(x, u)
-        factors = np.column_stack((np.ones(len(x)), x, u))
-        return (factors[:, :, None] * own[:, None, :]).reshape(len(x), -1)
+    def others(self, columns: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of those that the library lacks, from those of states and inputs."""
+        laws = [law.format(name) for law in _LAWS for name in columns]
+        products = [_times(term, name) for term in self.names for name in ("1", *columns)]
+        every = (*self.names, *products, *laws)
+        return tuple(every[i] for i in self.kept[len(self.names) :])
+
+    def _with_others(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        own, z = super().values(x, u), np.column_stack((x, u))
+        laws = [law(z) for law in _LAWS.values()]
+        factors = np.column_stack((np.ones(len(x)), z))
+        products = (own[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
+        return np.column_stack((own, products, *laws))
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the terms and products (n_rows, n_terms) at states and inputs (n_rows, …)."""
-        return self._with_products(x, u)[:, self.kept]
+        """Return the terms and the others (n_rows, n_terms) at states and inputs (n_rows, …)."""
+        return self._with_others(x, u)[:, self.kept]
 
     def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms), 0 of products: none is in."""
+        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms), 0 of others: none is in."""
         more = self.kept.size - len(self.names)
         return np.pad(super().derivatives(x, u), ((0, 0), (0, 0), (0, more)))
+
+
+def _times(term: str, name: str) -> str:
+    """Return the name of a term times a column, as pysindy writes it: ``T^4`` for T³ and T."""
+    powers: Counter[str] = Counter()
+    for factor in (name, *term.split()):
+        base, _, power = factor.partition("^")
+        powers[base] += int(power) if power.isdigit() else 1
+    del powers["1"]
+    return " ".join(base if p == 1 else f"{base}^{p}" for base, p in powers.items()) or "1"
 
 
 # Fewer rows than this hold no more than their own noise.
