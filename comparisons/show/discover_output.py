@@ -125,7 +125,9 @@ def _pictures(
 ) -> list[Block]:
     """Draw the first trajectory over time, and the first two states against each other."""
     first, n = len(x[0]), x[0].shape[1]
-    estimated, measured, names = model.x_[:first], x[0], model.state_names_
+    # Where readings come late they are drawn as they were moved.
+    measured = model.search_.likelihood.data.y[:first, :n]
+    estimated, names = model.x_[:first], model.state_names_
     figure, panels = strips(n, 1.2 + 1.5 * n, "time [s]")
     for j, ax in enumerate(panels):
         ax.plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")

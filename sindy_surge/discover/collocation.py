@@ -150,15 +150,18 @@ class Collocation:
         white = about.whitened(np.arange(fit.xi.size))
         return without_nuisances(about.late_column(white), white.columns, white.target)
 
-    def lateness(self, support: Support, fit: Fit) -> tuple[float, float]:
-        """Return by how many seconds readings are later than thought, and the standard error."""
+    def lateness(self, support: Support, fit: Fit) -> tuple[float, FloatArray]:
+        """Return by how many seconds readings are later than thought.
+
+        With it the covariance of that and, behind it, of the coefficients of a support.
+        """
         about = self._about(fit.x, fit.xi)
         every = np.union1d(np.flatnonzero(fit.xi.T.ravel()), np.array(support, dtype=np.intp))
         white = about.whitened(every)
         own = white.columns[:, np.isin(every, support)]
         columns = np.column_stack((about.late_column(white), own))
         inverse = _inverse(columns.T @ columns)
-        return float((inverse @ (columns.T @ white.target))[0]), float(np.sqrt(inverse[0, 0]))
+        return float((inverse @ (columns.T @ white.target))[0]), inverse
 
     def _about(self, x: FloatArray, xi: FloatArray) -> _About:
         return _Shot(self, x, xi, self.parts) if self.parts else _About(self, x, xi)

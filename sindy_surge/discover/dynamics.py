@@ -170,9 +170,7 @@ class SparseDynamics(BaseEstimator):
         if (moved := read_late(levels[0], best, rates, given, optimizer)) is not None:
             level, fewer, late = moved
             self._keep([level, *levels], fewer, late)
-            if before in _CLEAN:
-                self.state_ = FitState.READ_LATE
-            elif self.state_ is not FitState.READ_LATE:
+            if before not in _CLEAN and self.state_ is not FitState.READ_LATE:
                 # With the readings moved something else is missing as well.
                 self._keep(levels, best)
         return self
@@ -314,7 +312,9 @@ class SparseDynamics(BaseEstimator):
         _as_fitted("x", data.y.shape[1], [n for n in self.state_names_ if n not in self.hidden])
         _as_fitted("u", data.u.shape[1], self.input_names_)
         data = replace(data, held=self.search_.likelihood.data.held)
-        _apart(data.y, self.state_names_)
+        _moving(data.y, self.state_names_)
+        if self.late_ is not None:
+            data = self.late_.undone(data, data.smooth())
         problem = Collocation(
             self._with_hidden(data, self._known),
             self._features,
@@ -346,7 +346,7 @@ class SparseDynamics(BaseEstimator):
         _check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
         states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
-        _apart(np.column_stack((data.y, data.u)), named)
+        _apart(np.column_stack((data.y, data.u)), named[: data.y.shape[1] + data.u.shape[1]])
         known = self._checked_known()
         noise = data.noise
         data = self._with_hidden(data, known)
@@ -547,15 +547,25 @@ def _coloured(left: FloatArray, runs: Segments) -> BoolArray:
 
 def _apart(columns: FloatArray, names: Sequence[str]) -> None:
     """Refuse a column that does not move, or that others give without error."""
-    still = np.ptp(columns, axis=0) <= 1e-12 * np.abs(columns).max(axis=0)
-    spread = np.where(still, 1.0, np.std(columns, axis=0))
-    own = independent_columns((columns - columns.mean(axis=0)) / spread)
-    for j in np.setdiff1d(np.arange(len(still)), own):
+    _moving(columns, names)
+    scaled = (columns - columns.mean(axis=0)) / np.std(columns, axis=0)
+    for j in np.setdiff1d(np.arange(len(names)), independent_columns(scaled)).tolist():
         raise InputError(
             names[j],
-            expected="a column that moves by itself",
-            found="a constant" if still[j] else "what the columns before it give without error",
+            expected="a column of its own",
+            found="what the columns before it give without error",
             remedy="leave it out: no record can part what it does from what they do",
+        )
+
+
+def _moving(columns: FloatArray, names: Sequence[str]) -> None:
+    still = np.ptp(columns, axis=0) <= 1e-12 * np.abs(columns).max(axis=0)
+    for j in np.flatnonzero(still).tolist():
+        raise InputError(
+            names[j],
+            expected="a column that moves",
+            found="a constant",
+            remedy="leave it out: what it does is the term 1",
         )
 
 

@@ -12,6 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from sindy_surge.discover.collocation import Fit
 from sindy_surge.discover.levels import RIVAL, Level, searched, start_about
+from sindy_surge.discover.trajectories import Trajectories
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.search import Tried, best_of_equation
 from sindy_surge.text import uncertain
@@ -37,6 +38,15 @@ class Late:
     late_s: float
     stderr_s: float
 
+    def either(self, other: Late) -> Late:
+        """Return it where another way is as likely."""
+        stderr_s = float(np.hypot(self.stderr_s, other.late_s - self.late_s))
+        return replace(self, how=f"{DELAY} or {LAG}", stderr_s=stderr_s)
+
+    def undone(self, data: Trajectories, readings: FloatArray) -> Trajectories:
+        """Return trajectories with late readings moved, by their way without noise."""
+        return data.moved(self.states, self.late_s, readings, lag=self.how == LAG)
+
     def words(self, names: Sequence[str]) -> str:
         """Say it, e.g. ``y is read 0.0501(10) s late``."""
         who = " and ".join(names[i] for i in self.states)
@@ -52,33 +62,49 @@ def read_late(
 
     Where there are inputs, the readings of all states may come later than these.
     """
-    read = tuple(np.flatnonzero(~level.likelihood.hidden).tolist())
-    asked: list[Support] = [(state,) for state in read if len(read) > 1]
-    asked += [read] if level.likelihood.data.u.shape[1] else []
-    if not asked:
-        return None
+    problem = level.likelihood
+    read = tuple(np.flatnonzero(~problem.hidden).tolist())
+    inputs = problem.data.u.shape[1]
+    # Of two readings without inputs, that one is early is that the other is late.
+    one_of_two = len(read) == 2 and not inputs
+    asked: list[Support] = [(state,) for state in read[one_of_two:] if len(read) > 1]
+    asked += [read] if inputs else []
+    # Readings that come late by half a row look like inputs that are held.
+    smooth = replace(problem, data=replace(problem.data, held=np.zeros(inputs, dtype=np.bool_)))
+    levels = [level, replace(level, likelihood=smooth, tried={})][: 1 + problem.held]
     looked = []
-    for states in asked:
-        delays = _delays(level, best, states).tolist()
-        looked.append((*min((_looked(level, best, states, d), d) for d in delays), states))
+    for i, own in enumerate(levels):
+        for states in asked:
+            delays = _delays(own, best, states).tolist()
+            looked += [(*min((_looked(own, best, states, d), d) for d in delays), i, states)]
     plain = _looked(level, best, (), 0.0) - _BEHIND * level.price
     likely = [each for each in looked if each[0] < min(plain, min(looked)[0] + RIVAL)]
     found = []
-    for _, late_s, states in likely:
+    for _, late_s, i, states in likely:
         for how in (DELAY, LAG):
-            begun = Late(states, how, late_s, np.inf)
-            each = _moved(level, best, begun, rates, given, optimizer)
-            found += [each] if each is not None else []
-    found.sort(key=lambda each: each[1].score + RIVAL * (each[2].late_s < 0.0))
+            each = _moved(
+                levels[i], best, Late(states, how, late_s, np.inf), rates, given, optimizer
+            )
+            # A lag makes nothing early.
+            found += [each] if each is not None and (how == DELAY or each[2].late_s > 0.0) else []
     if not found:
         return None
-    own, best, late = found[0]
-    if any(o.states == late.states and t.score < best.score + RIVAL for _, t, o in found[1:]):
-        late = replace(late, how=f"{DELAY} or {LAG}")
-    if len(read) == len(asked) == 2 and late.late_s < 0.0 and late.how != LAG:
-        # Of two readings, that one is early is that the other is late.
-        late = replace(late, states=(1 - late.states[0],), late_s=-late.late_s)
-    return own, best, late
+    found.sort(key=lambda each: each[1].score)
+    (own, tried, late), *others = found
+    for _, other, one in others:
+        if one.states == late.states and one.how != late.how and other.score < tried.score + RIVAL:
+            return own, _either(tried, other), late.either(one)
+    if one_of_two and late.late_s < 0.0:
+        late = replace(late, states=read[:1], late_s=-late.late_s)
+    return own, tried, late
+
+
+def _either(best: Tried[Fit], other: Tried[Fit]) -> Tried[Fit]:
+    """Return the better of two fits, in whose covariance the other counts as an error."""
+    places = np.array(best.support, dtype=np.intp)
+    apart = (other.fit.xi - best.fit.xi).T.ravel()[places]
+    covariance = best.fit.covariance + np.outer(apart, apart)
+    return replace(best, fit=replace(best.fit, covariance=covariance))
 
 
 def _delays(level: Level, best: Tried[Fit], late: Support) -> FloatArray:
@@ -106,14 +132,14 @@ def _looked(level: Level, best: Tried[Fit], late: Support, late_s: float) -> flo
             linear = free.regression(start_about(free, x, np.concatenate(parts)))
     except (LinAlgError, ValueError):
         return np.inf
-    # For one equation all terms of the others are left free: a delay makes terms in several.
+    # For one equation all terms of the others are left free: a delay makes terms in several. It
+    # takes terms away, so that no more than those at hand are looked for.
     apart: Support = ()
     for own in level.equations:
         others = [i for each in level.equations if each is not own for i in each]
-        rest = linear.beside(others, own)
-        apart += tuple(
-            own[i] for i in min(best_of_equation(rest, tuple(range(len(own))), (), level.price))[1]
-        )
+        rest, most = linear.beside(others, own), len(set(own) & set(best.support))
+        ranked = best_of_equation(rest, tuple(range(len(own))), (), level.price, most)
+        apart += tuple(own[i] for i in min(ranked)[1])
     chosen = (_chosen(level, linear, begun) for begun in (best.support, apart))
     return min(linear.score(support, level.price) for support in chosen)
 
@@ -129,23 +155,27 @@ def _moved(
     own, tried, data, readings = level, best, level.likelihood.data, best.fit.x
     for _ in range(_MOST_STEPS):
         before = tried.support
-        moved = data.moved(late.states, late.late_s, readings, lag=late.how == LAG)
+        moved = late.undone(data, readings)
         near = replace(tried.fit, x=readings + moved.y - data.y)
         problem = replace(level.likelihood, data=moved)
-        again = searched(problem, rates, given, optimizer, near, full=True)[1]
-        own = Level(replace(problem, late=late.states), level.equations, level.price)
+        (last, *_), again = searched(problem, rates, given, optimizer, near, full=True)
+        held = replace(moved, held=last.likelihood.data.held)
+        own = Level(replace(problem, data=held, late=late.states), level.equations, level.price)
         tried = own.try_support(again.support, again.fit, again.by)
         if not np.isfinite(tried.score):
             return None
         kept = _chosen(level, own.likelihood.regression(tried.fit), tried.support, tried.support)
-        step_s, stderr_s = own.likelihood.lateness(kept, tried.fit)
-        if abs(step_s) < _SETTLED * stderr_s and tried.support == before:
+        step_s, covariance = own.likelihood.lateness(kept, tried.fit)
+        if abs(step_s) < _SETTLED * np.sqrt(covariance[0, 0]) and tried.support == before:
             break
         readings = tried.fit.x - (moved.y - data.y)
         late = replace(late, late_s=late.late_s + step_s)
-    tried, late = own.climb(tried), replace(late, stderr_s=stderr_s)
+    tried = own.climb(tried)
+    covariance = own.likelihood.lateness(tried.support, tried.fit)[1]
+    late = replace(late, stderr_s=float(np.sqrt(covariance[0, 0])))
     won = best.score - tried.score - level.price
-    return (own, tried, late) if won > _LEAST_WON else None
+    with_late = replace(tried, fit=replace(tried.fit, covariance=covariance[1:, 1:]))
+    return (own, with_late, late) if won > _LEAST_WON else None
 
 
 def _chosen(
@@ -157,7 +187,8 @@ def _chosen(
         for equation in level.equations:
             kept = tuple(i for i in support if i not in equation)
             free = tuple(i for i in equation if among is None or i in among)
-            support = min(best_of_equation(linear, free, kept, level.price))[1]
+            most = len(support) - len(kept) + 1
+            support = min(best_of_equation(linear, free, kept, level.price, most))[1]
         if support == before:
             break
     return support

@@ -40,7 +40,7 @@ MOST_MEGABYTES = 4000
 # Parts of what the integrator hands on.
 PARTS = 7
 # What a black box that fails for some parameters may raise.
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError)
 
 
 @dataclass(frozen=True)
