@@ -93,9 +93,11 @@ def read_late(
     (own, tried, late), *others = found
     for _, other, one in others:
         if one.states == late.states and one.how != late.how and other.score < tried.score + RIVAL:
-            return own, _either(tried, other), late.either(one)
+            tried, late = _either(tried, other), late.either(one)
+            break
     if one_of_two and late.late_s < 0.0:
         late = replace(late, states=read[:1], late_s=-late.late_s)
+    own.tried[tried.support] = tried
     return own, tried, late
 
 

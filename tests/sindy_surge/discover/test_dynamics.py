@@ -215,6 +215,7 @@ def test_a_reading_that_comes_late_is_reported_and_moved(how):
         late = model.late_
         assert (model.state_.code, late.states) == ("read_late", (1,))
         assert how in late.how
+        assert all(rival.equations != model.equation_terms_ for rival in model.rivals_)
         assert abs(late.late_s - 0.1) < 4.0 * late.stderr_s < 0.01
         for terms, expected in zip(model.equation_terms_, true, strict=True):
             assert {term.name for term in terms} == set(expected)
