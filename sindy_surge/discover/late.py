@@ -77,7 +77,7 @@ def read_late(
         for states in asked:
             delays = _delays(own, best, states).tolist()
             looked += [(*min((_looked(own, best, states, d), d) for d in delays), i, states)]
-    plain = _looked(level, best, (), 0.0) - _BEHIND * level.price
+    plain = min(_looked(level, best, (), 0.0), best.score) - _BEHIND * level.price
     likely = [each for each in looked if each[0] < min(plain, min(looked)[0] + RIVAL)]
     found = []
     for _, late_s, i, states in likely:
