@@ -39,7 +39,8 @@ def discover_document(model: SparseDynamics) -> dict[str, Any]:
         ],
         "late": _late(model),
         "beyond": list(model.beyond_),
-        "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False)),
+        "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False))
+        | _input_noise(model),
         "fit_state": {"code": model.state_.code, "advice": model.state_.advice},
     }
 
@@ -66,6 +67,8 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
     if model.beyond_:
         equations.append(f"beyond the library: {', '.join(model.beyond_)} would pay")
     equations += [model.late_.words(model.state_names_)] if model.late_ is not None else []
+    noisy = [f"{name} is measured with noise of {s:.2g}" for name, s in _input_noise(model).items()]
+    equations += [f"{'; '.join(noisy)}: estimated with the states"] if noisy else []
     rivals = [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
     tried = f"{len(model.path_)} models compared"
     words = f"rivals: none within 5 of the log-likelihood ({tried})"
@@ -75,6 +78,12 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
             "cannot be excluded"
         )
     return (head, *equations, words, *rivals)
+
+
+def _input_noise(model: SparseDynamics) -> dict[str, float]:
+    """Return the noise of the inputs that are not taken as exact."""
+    sizes = zip(model.input_names_, model.input_noise_.tolist(), strict=True)
+    return {name: size for name, size in sizes if size > 0.0}
 
 
 def _late(model: SparseDynamics) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ what noise has to explain is ρ = r + A e - G δξ, of covariance S = A Aᵀ in 
 ρᵀ S⁻¹ ρ is the squared error. S is banded, so that all of it costs as much as a few passes over
 the rows, and H = Gᵀ S⁻¹ G is the information on all terms of the library at once. (Gauss-Newton
 on a fully discretised problem: no run can diverge, as it does from a bad start when shooting.)
+Inputs measured with noise are estimated as states are, but obey no equation: columns of A.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class Fit:
 
     xi: FloatArray  # (n_terms, n_states): Coefficients; zero outside the support
     x: FloatArray  # (n_rows, n_states): Estimated states
+    u: FloatArray  # (n_rows, n_inputs): Inputs, estimated where they are noisy
     chi2: float  # Squared error in units of the noise
     # (n_support, n_support): Of the coefficients, in units of the noise's variance
     covariance: FloatArray
@@ -56,6 +58,7 @@ class Collocation:
     noise: FloatArray  # (n_states,): Standard deviation of each state's noise
     known: FloatArray  # (n_terms, n_states): Coefficients that are given; zero elsewhere
     hidden: BoolArray  # (n_states,): States that are not measured
+    input_noise: FloatArray  # (n_inputs,): Of each input; 0 where it is exact
     # Length of the segments that trajectories are cut into, each with a start of its own
     rows: int | None = None
     # Parts of a step in Runge and Kutta's rule; 0 for the rule of Hermite and Simpson
@@ -63,13 +66,9 @@ class Collocation:
     # States whose readings may be late, which is left free beside the terms of a regression
     late: Support = ()
     joined: BoolArray = field(init=False)
-    middle: FloatArray = field(init=False)  # Inputs half-way to the next row, and on arrival there
-    end: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joined", self.data.within(self.rows))
-        object.__setattr__(self, "middle", self.data.middle_inputs())
-        object.__setattr__(self, "end", self.data.end_inputs())
 
     @property
     def held(self) -> bool:
@@ -80,26 +79,24 @@ class Collocation:
         """Return the same with other segments."""
         return replace(self, rows=rows)
 
-    def fit(
-        self, support: IndexArray, xi: FloatArray, x: FloatArray, ridge: FloatArray | None = None
-    ) -> Fit:
-        """Fit some terms, from coefficients (n_terms, n_states) and states (n_rows, n_states).
+    def fit(self, support: IndexArray, near: Fit, ridge: FloatArray | None = None) -> Fit:
+        """Fit some terms, from the coefficients, states and inputs of a fit nearby.
 
         The support are columns of Ξ flattened by state, state * n_terms + term; a ridge, one a
         column, is added to the diagonal of H.
         """
-        n_terms = xi.shape[0]
+        x, u, n_terms = near.x, near.u, near.xi.shape[0]
         place = support % n_terms, support // n_terms
-        start = np.zeros_like(xi)
-        start[place] = xi[place]
-        xi, converged, chi2 = start, False, np.inf
+        xi = np.zeros_like(near.xi)
+        xi[place] = near.xi[place]
+        converged, chi2 = False, np.inf
         inverse = np.eye(support.size)
-        about = self._about(x, xi)
+        about = self._about(x, u, xi)
         for _ in range(_MOST_STEPS):
             try:
                 white = about.whitened(support)
             except (LinAlgError, ValueError):
-                return Fit(xi, x, np.inf, inverse, False)
+                return Fit(xi, x, u, np.inf, inverse, False)
             H = white.columns.T @ white.columns
             H += np.diag(ridge) if ridge is not None else 0.0
             inverse = _inverse(H)
@@ -107,26 +104,28 @@ class Collocation:
             new[place] = inverse @ (white.columns.T @ white.target)
             move = new[place] - xi[place]
             moved = float(move @ H @ move)
-            target, chi2 = about.states(white, new[place])
+            x_next, u_next, chi2 = about.states(white, new[place])
             share = 1.0
             for _ in range(_HALVINGS):
-                ahead = self._about(x + share * (target - x), xi + share * (new - xi))
+                ahead = self._about(
+                    x + share * (x_next - x), u + share * (u_next - u), xi + share * (new - xi)
+                )
                 # On the way to the step's end the defects shrink with it.
                 if ahead.defect < max(2.0 * about.defect, _LEAST_DEFECT * chi2):
                     break
                 share *= 0.5
-            x, xi, about = ahead.x, ahead.xi, ahead
+            x, u, xi, about = ahead.x, ahead.u, ahead.xi, ahead
             if not (np.isfinite(chi2) and np.isfinite(about.defect)):
-                return Fit(xi, x, np.inf, inverse, False)
+                return Fit(xi, x, u, np.inf, inverse, False)
             small = share == 1.0 and moved < _STEP_SIGMA**2 * max(support.size, 1)
             if small and about.defect < _LEAST_DEFECT * max(chi2, 1.0):
                 converged = True
                 break
-        return Fit(xi, x, chi2, inverse, converged)
+        return Fit(xi, x, u, chi2, inverse, converged)
 
     def try_terms(self, support: Support, near: Fit) -> tuple[Fit, float]:
         """Fit some terms from a fit nearby; return the fit and its χ², infinite without one."""
-        fit = self.fit(np.array(support, dtype=np.intp), near.xi, near.x)
+        fit = self.fit(np.array(support, dtype=np.intp), near)
         return fit, fit.chi2 if fit.converged else np.inf
 
     def rule_moves(self, support: Support, fit: Fit, degree: int = 3) -> float:
@@ -134,9 +133,9 @@ class Collocation:
 
         With splines of another degree that of smooth inputs between rows counts too.
         """
-        about = self._about(fit.x, fit.xi)
+        about = self._about(fit.x, fit.u, fit.xi)
         # Half the step has a sixteenth of the error.
-        finer = _Shot(self, fit.x, fit.xi, 2 * max(self.parts, 2), degree)
+        finer = _Shot(self, fit.x, fit.u, fit.xi, 2 * max(self.parts, 2), degree)
         error = finer.r - about.r
         if not np.isfinite(error).all():
             return float(np.inf)
@@ -146,7 +145,7 @@ class Collocation:
 
     def regression(self, fit: Fit) -> LinearProblem:
         """Return the regression on all terms that are not given about a fit."""
-        about = self._about(fit.x, fit.xi)
+        about = self._about(fit.x, fit.u, fit.xi)
         white = about.whitened(np.arange(fit.xi.size))
         return without_nuisances(about.late_column(white), white.columns, white.target)
 
@@ -155,7 +154,7 @@ class Collocation:
 
         With it the covariance of that and, behind it, of the coefficients of a support.
         """
-        about = self._about(fit.x, fit.xi)
+        about = self._about(fit.x, fit.u, fit.xi)
         every = np.union1d(np.flatnonzero(fit.xi.T.ravel()), np.array(support, dtype=np.intp))
         white = about.whitened(every)
         own = white.columns[:, np.isin(every, support)]
@@ -163,8 +162,19 @@ class Collocation:
         inverse = _inverse(columns.T @ columns)
         return float((inverse @ (columns.T @ white.target))[0]), inverse
 
-    def _about(self, x: FloatArray, xi: FloatArray) -> _About:
-        return _Shot(self, x, xi, self.parts) if self.parts else _About(self, x, xi)
+    def deviance(self, fit: Fit) -> float:
+        """Return -2 log of the likelihood of the defects about a fit, the size of all noise free.
+
+        Up to a constant; for models that take other shares of the noise to be in the inputs.
+        """
+        about = self._about(fit.x, fit.u, fit.xi)
+        factor = about.whitened(np.zeros(0, dtype=np.intp)).factor
+        rows, n = int(self.joined.sum()), self.noise.size
+        units = rows * float(np.sum(np.log(self.noise)))
+        return float(rows * n * np.log(fit.chi2) + 2.0 * (np.sum(np.log(factor[0])) + units))
+
+    def _about(self, x: FloatArray, u: FloatArray, xi: FloatArray) -> _About:
+        return _Shot(self, x, u, xi, self.parts) if self.parts else _About(self, x, u, xi)
 
 
 @dataclass(frozen=True)
@@ -181,21 +191,24 @@ class _Whitened:
 class _About:
     """The defects and their derivatives at states and coefficients."""
 
-    def __init__(self, problem: Collocation, x: FloatArray, xi: FloatArray) -> None:
-        self.problem, self.x, self.xi = problem, x, xi
-        features, u = problem.features, problem.data.u
-        total = xi + problem.known
+    def __init__(self, problem: Collocation, x: FloatArray, u: FloatArray, xi: FloatArray) -> None:
+        self.problem, self.x, self.u, self.xi = problem, x, u, xi
+        self.noisy = np.flatnonzero(problem.input_noise)
+        data = replace(problem.data, u=u) if self.noisy.size else problem.data
+        self.data = data
+        features, total = problem.features, xi + problem.known
         h = np.where(problem.joined, problem.data.step_s, 0.0)[:, None]
         self.h = h
         with np.errstate(all="ignore"):
             # A held input jumps in a row: the step before ends with another value.
             theta = features.values(x, u)
             self.theta = theta[:-1]
-            self.theta_e = features.values(x[1:], problem.end) if problem.held else theta[1:]
+            end = data.end_inputs
+            self.theta_e = features.values(x[1:], end) if problem.held else theta[1:]
             f, f_e = self.theta @ total, self.theta_e @ total
             middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f - f_e)
             self.middle = middle
-            self.theta_m = features.values(middle, problem.middle)
+            self.theta_m = features.values(middle, data.middle_inputs)
             f_m = self.theta_m @ total
             r = x[1:] - x[:-1] - h / 6.0 * (f + 4.0 * f_m + f_e)
             self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
@@ -203,17 +216,18 @@ class _About:
         self.defect = float(np.sum(self.r**2)) / 2.0
         self.total = total
 
-    def slopes(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the derivatives of dx/dt by the states, (n_rows, n, n)."""
-        slopes = self.problem.features.derivatives(x, u) @ self.total
+    def slopes(self, x: FloatArray, u: FloatArray, by: IndexArray | None = None) -> FloatArray:
+        """Return the derivatives of dx/dt by the states, (n_rows, n, n), or by other columns."""
+        columns = np.arange(x.shape[1]) if by is None else by
+        slopes = self.problem.features.derivatives(x, u, columns) @ self.total
         return np.ascontiguousarray(slopes.transpose(1, 2, 0))
 
     def tangents(self, support: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return how the defects move with x_k, x_{k+1} and, but for the sign, with ξ."""
-        problem, slopes = self.problem, self.slopes
-        J = slopes(self.x, problem.data.u)
-        J, J_e = J[:-1], slopes(self.x[1:], problem.end) if problem.held else J[1:]
-        J_m = slopes(self.middle, problem.middle)
+        problem, data, slopes = self.problem, self.data, self.slopes
+        J = slopes(self.x, data.u)
+        J, J_e = J[:-1], slopes(self.x[1:], data.end_inputs) if problem.held else J[1:]
+        J_m = slopes(self.middle, data.middle_inputs)
         h = self.h[:, :, None]
         eye = np.eye(self.x.shape[1])
         before = -eye - h / 6.0 * (J + 4.0 * J_m @ (0.5 * eye + h / 8.0 * J))
@@ -226,17 +240,38 @@ class _About:
         G[:, state, np.arange(support.size)] += sums
         return before, after, G
 
+    def input_tangents(self) -> tuple[FloatArray, FloatArray]:
+        """Return how the defects move with noisy inputs in row k and in the next.
+
+        By the rule of Hermite and Simpson, with smooth inputs half-way between rows.
+        """
+        data, h, by = self.data, self.h[:, :, None], self.x.shape[1] + self.noisy
+        held = data.held[self.noisy]
+        J = self.slopes(self.x[:-1], data.u[:-1], by)
+        J_e = self.slopes(self.x[1:], data.end_inputs, by)
+        J_m = 4.0 * self.slopes(self.middle, data.middle_inputs, by)
+        bend = h / 2.0 * self.slopes(self.middle, data.middle_inputs)
+        ends = J_e - bend @ J_e
+        before = J + bend @ J + np.where(held, J_m + ends, 0.5 * J_m)
+        return -h / 6.0 * before, -h / 6.0 * np.where(held, 0.0, 0.5 * J_m + ends)
+
     def whitened(self, support: IndexArray) -> _Whitened:
         """Return the regression on columns, whitened."""
         problem, noise = self.problem, self.problem.noise
         before, after, G = self.tangents(support)
         open_rows = problem.joined[:, None, None]
+        e = np.where(problem.hidden, 0.0, (problem.data.y - self.x) / noise)
+        size = noise
+        if self.noisy.size:
+            own = problem.input_noise[self.noisy]
+            parts = zip((before, after), self.input_tangents(), strict=True)
+            before, after = (np.concatenate(each, axis=2) for each in parts)
+            e = np.column_stack((e, (problem.data.u - self.u)[:, self.noisy] / own))
+            size = np.concatenate((noise, own))
         before, after = (
-            np.where(open_rows, each * noise / noise[:, None], 0.0) for each in (before, after)
+            np.where(open_rows, each * size / noise[:, None], 0.0) for each in (before, after)
         )
         G = (G / noise[:, None]).reshape(self.r.size, support.size)
-        e = (problem.data.y - self.x) / problem.noise
-        e = np.where(problem.hidden, 0.0, e)
         xi_now = self.xi.T.ravel()[support]
         rho = self.r + np.einsum("kij,kj->ki", before, e[:-1])
         rho += np.einsum("kij,kj->ki", after, e[1:])
@@ -248,34 +283,43 @@ class _About:
 
     def late_column(self, white: _Whitened) -> FloatArray:
         """Return how readings that come one second later move the target; no column if none do."""
-        late, data = list(self.problem.late), self.problem.data
+        late = list(self.problem.late)
         if not late:
             return np.zeros((white.target.size, 0))
-        rate, moved = self.problem.features.values(self.x, data.u) @ self.total, 0.0 * self.x
+        rate = self.problem.features.values(self.x, self.data.u) @ self.total
+        moved = np.zeros((len(rate), white.before.shape[2]))
         moved[:, late] = (rate / self.problem.noise)[:, late]
         rho = np.einsum("kij,kj->ki", white.before, moved[:-1])
         rho += np.einsum("kij,kj->ki", white.after, moved[1:])
         return -_solved(white.factor, rho.reshape(-1, 1))
 
-    def states(self, white: _Whitened, best: FloatArray) -> tuple[FloatArray, float]:
-        """Return the states that go with coefficients, and the squared error there."""
-        problem = self.problem
+    def states(self, white: _Whitened, best: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return the states and inputs that go with coefficients, and the squared error there."""
+        problem, n = self.problem, self.x.shape[1]
         rest = white.target - white.columns @ best
         multiplier = _solved(white.factor, rest, transposed=True).reshape(self.r.shape)
-        eta = np.zeros_like(self.x)
+        eta = np.zeros((len(self.x), white.before.shape[2]))
         eta[:-1] -= np.einsum("kij,ki->kj", white.before, multiplier)
         eta[1:] -= np.einsum("kij,ki->kj", white.after, multiplier)
         measured = np.where(problem.hidden, self.x, problem.data.y)
-        return measured + eta * problem.noise, float(np.sum(eta**2))
+        u = problem.data.u.copy()
+        u[:, self.noisy] += eta[:, n:] * problem.input_noise[self.noisy]
+        return measured + eta[:, :n] * problem.noise, u, float(np.sum(eta**2))
 
 
 class _Shot(_About):
     """The same by Runge and Kutta's rule on equal parts of each step."""
 
     def __init__(
-        self, problem: Collocation, x: FloatArray, xi: FloatArray, parts: int, degree: int = 3
+        self,
+        problem: Collocation,
+        x: FloatArray,
+        u: FloatArray,
+        xi: FloatArray,
+        parts: int,
+        degree: int = 3,
     ) -> None:
-        super().__init__(problem, x, xi)
+        super().__init__(problem, x, u, xi)
         self.parts, self.degree = parts, degree
         with np.errstate(all="ignore"):
             r = x[1:] - self._end(x[:-1], lambda x, u: problem.features.values(x, u) @ self.total)
@@ -307,7 +351,7 @@ class _Shot(_About):
         self, z: FloatArray, rate: Callable[[FloatArray, FloatArray], FloatArray]
     ) -> FloatArray:
         """Run from each row to the next."""
-        h, data = self.h / self.parts, self.problem.data
+        h, data = self.h / self.parts, self.data
         for part in range(self.parts):
             shares = [(part + more) / self.parts for more in (0.0, 0.5, 1.0)]
             u0, u1, u2 = (data.inputs_at(share, self.degree) for share in shares)

@@ -15,7 +15,13 @@ from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.late import Late, read_late
-from sindy_surge.discover.levels import RIVAL, Level, pays_beyond, search_by_levels
+from sindy_surge.discover.levels import (
+    RIVAL,
+    Level,
+    pays_beyond,
+    search_by_levels,
+    with_noisy_inputs,
+)
 from sindy_surge.discover.trajectories import (
     LEAST_NOISE,
     Features,
@@ -42,9 +48,11 @@ _EXCESS = 1.2
 # coefficients were off by seven and more of their stated errors.
 _LAGS = 10
 _BY_CHANCE = 1e-4
-# States that state equations without reserve; and those in which late readings may hide.
+# States that state equations without reserve; those in which terms beyond the library are asked
+# for; and those in which late readings may hide.
 _CLEAN = (FitState.OK, FitState.UNDECIDED)
-_MAY_BE_LATE = (*_CLEAN, FitState.LIBRARY_TOO_SMALL, FitState.COLOURED_REST)
+_ASKED_BEYOND = (*_CLEAN, FitState.LIBRARY_TOO_SMALL, FitState.COLOURED_REST)
+_MAY_BE_LATE = (*_ASKED_BEYOND, FitState.UNEXPLAINED)
 
 
 class SparseDynamics(BaseEstimator):
@@ -52,7 +60,8 @@ class SparseDynamics(BaseEstimator):
 
     All states are taken as measured with white noise of unknown size. States and coefficients are
     estimated together (errors in variables); the terms are those of the best extended BIC. An input
-    runs smoothly through its rows or is held from each to the next, whichever leaves less.
+    runs smoothly through its rows or is held from each to the next, whichever leaves less. One
+    whose own rows show white noise is estimated as the states are, where that is likelier.
 
     Parameters
     ----------
@@ -88,6 +97,8 @@ class SparseDynamics(BaseEstimator):
         trajectories first, best first, then on shorter segments.
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
+    input_noise_ : ndarray of shape (n_inputs,)
+        The same of each input; 0 where inputs are taken as exact.
     beyond_ : tuple of str
         Terms beyond the library that would pay their price, beside those stated or for them.
     late_ : Late or None
@@ -163,6 +174,8 @@ class SparseDynamics(BaseEstimator):
         optimizer = self.optimizer if self.optimizer is not None else STLSQ()
         full = self.search == "full"
         levels, best = search_by_levels(problem, rates, given, optimizer, full=full)
+        if full:
+            levels, best = with_noisy_inputs(problem, rates, given, optimizer, (levels, best))
         self._keep(levels, best)
         before = self.state_
         if not full or before not in _MAY_BE_LATE:
@@ -321,11 +334,11 @@ class SparseDynamics(BaseEstimator):
             self._noise_all,
             self.coef_.T,
             self._hidden,
+            np.zeros(data.u.shape[1]),
             _SCORED_ROWS,
             self.search_.likelihood.parts,
         )
-        empty = np.zeros_like(self.coef_.T)
-        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, problem.data.smooth())
+        fit = problem.fit(np.zeros(0, dtype=np.intp), _no_terms(problem, problem.data.smooth()))
         measured = ~self._hidden
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
@@ -361,7 +374,8 @@ class SparseDynamics(BaseEstimator):
             for name, value in terms.items():
                 given[features.index(name), self.state_names_.index(state)] = value
         self._known, self._hidden = known, hidden
-        return Collocation(data, features, noise, given, hidden), self._rates(data)
+        exact = np.zeros(n_inputs)
+        return Collocation(data, features, noise, given, hidden, exact), self._rates(data)
 
     def _checked_known(self) -> dict[str, dict[str, float]]:
         try:
@@ -443,11 +457,12 @@ class SparseDynamics(BaseEstimator):
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
         problem = search.likelihood
         if not np.isfinite(best.score):
-            empty = problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            empty = problem.fit(nothing, _no_terms(problem, problem.data.y))
             best = Tried((), np.inf, empty, best.by)
         features, n_terms = problem.features, problem.known.shape[0]
         self._features, self._noise_all = features, problem.noise
         self.noise_ = problem.noise[~problem.hidden]
+        self.input_noise_ = problem.input_noise
         self.search_, self.best_ = search, best
         named = zip(self.input_names_, problem.data.held, strict=True)
         self.held_inputs_ = tuple(name for name, held in named if held)
@@ -523,11 +538,15 @@ class SparseDynamics(BaseEstimator):
             FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
         }
         state = next((state for state, is_so in found.items() if is_so), FitState.OK)
-        if state in (*_MAY_BE_LATE, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
+        if state in (*_ASKED_BEYOND, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
             columns = (*self.state_names_, *self.input_names_)
             self.beyond_ = pays_beyond(self.search_, best, columns)
         clean = state is not FitState.COLOURED_REST
         return FitState.LIBRARY_TOO_SMALL if self.beyond_ and clean else state
+
+
+def _no_terms(problem: Collocation, x: FloatArray) -> Fit:
+    return Fit(np.zeros_like(problem.known), x, problem.data.u, np.inf, np.zeros((0, 0)), False)
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

@@ -131,7 +131,7 @@ def _looked(level: Level, best: Tried[Fit], late: Support, late_s: float) -> flo
     try:
         # Far from what was read a whole library may overflow.
         with np.errstate(all="ignore"):
-            linear = free.regression(start_about(free, x, np.concatenate(parts)))
+            linear = free.regression(start_about(free, x, best.fit.u, np.concatenate(parts)))
     except (LinAlgError, ValueError):
         return np.inf
     # For one equation all terms of the others are left free: a delay makes terms in several. It

@@ -41,9 +41,13 @@ class Level(Search[Fit]):
     likelihood: Collocation
 
 
+# The supports tried at each length of segments, the last first, and the best of them.
+Found = tuple[list[Level], Tried[Fit]]
+
+
 def search_by_levels(
     problem: Collocation, rates: FloatArray, given: Sequence[int], optimizer: Any, *, full: bool
-) -> tuple[list[Level], Tried[Fit]]:
+) -> Found:
     """Return the supports tried at each length of segments, the last first, and the best.
 
     All is done again by a finer rule between rows where that matters.
@@ -66,6 +70,35 @@ def search_by_levels(
     return found
 
 
+def with_noisy_inputs(
+    problem: Collocation, rates: FloatArray, given: Sequence[int], optimizer: Any, exact: Found
+) -> Found:
+    """Search again with inputs as noisy as their own rows show, and return what is likelier.
+
+    An input that is rough of itself shows as noisy too; the record is likelier without such noise.
+    All inputs are noisy at first, and each alone where that is not likelier.
+    """
+    shown = problem.data.input_noise
+    own = [np.where(np.arange(shown.size) == i, shown, 0.0) for i in np.flatnonzero(shown)]
+    for noises in ([shown], own)[: len(own)]:
+        trials = (replace(problem, input_noise=noise) for noise in noises)
+        tried = [search_by_levels(each, rates, given, optimizer, full=True) for each in trials]
+        found = min((exact, *tried), key=_unlikely)
+        if found is not exact:
+            return found
+    return exact
+
+
+def _unlikely(found: Found) -> tuple[bool, float]:
+    """Return what orders searches with other noise: whole trajectories first, then likelihood."""
+    (level, *_), best = found
+    if not np.isfinite(best.score):
+        return True, np.inf
+    problem = level.likelihood
+    score = problem.deviance(best.fit) + level.price * len(best.support)
+    return problem.rows is not None, score
+
+
 def searched(
     problem: Collocation,
     rates: FloatArray,
@@ -74,7 +107,7 @@ def searched(
     near: Fit | None,
     *,
     full: bool,
-) -> tuple[list[Level], Tried[Fit]]:
+) -> Found:
     """Return the supports tried at each length of segments, and the best, by one rule."""
     n_terms, n_states = problem.known.shape
     # Inputs that exclude one another have a product of nothing; a library may hold a term twice.
@@ -204,18 +237,20 @@ def _start(problem: Collocation, rates: FloatArray, free: IndexArray) -> Fit:
     """Return the whole library by regression on derivatives."""
     x = problem.data.smooth()
     x[:, problem.hidden] = problem.data.y[:, problem.hidden]
-    return start_about(problem, x, rates, free.size)
+    return start_about(problem, x, problem.data.u, rates, free.size)
 
 
-def start_about(problem: Collocation, x: FloatArray, rates: FloatArray, n_free: int = 0) -> Fit:
-    """Return the whole library by regression of derivatives at states."""
-    theta = problem.features.values(x, problem.data.u)
+def start_about(
+    problem: Collocation, x: FloatArray, u: FloatArray, rates: FloatArray, n_free: int = 0
+) -> Fit:
+    """Return the whole library by regression of derivatives at states and inputs."""
+    theta = problem.features.values(x, u)
     size = _size(theta)
     scaled = theta / size
     small = _START_RIDGE * len(scaled) * np.eye(size.size)
     target = scaled.T @ (rates - theta @ problem.known)
     xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
-    return Fit(xi, x, np.inf, np.eye(n_free), False)
+    return Fit(xi, x, u, np.inf, np.eye(n_free), False)
 
 
 def _size(theta: FloatArray) -> FloatArray:
@@ -232,16 +267,19 @@ def _fit_all(
     prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
     ridge = (prior.T.ravel()[free]) ** -2.0
     for rows in _FULL_ROWS:
-        fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
+        fit = problem.cut(rows).fit(free, fit, ridge)
     own = problem.cut(_FULL_ROWS[-1])
     n_rows = len(problem.data.y)
     starts = 1 + int(np.count_nonzero(~own.joined))
     spent = starts + free.size / n_states
     left = problem.data.y - fit.x
-    found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
+    # What noisy inputs leave is in the squared error as well.
+    share = np.sum((left / problem.noise)[:, ~problem.hidden] ** 2) / fit.chi2
+    free_rows = max(n_rows - spent, 1.0) * (share if problem.input_noise.any() else 1.0)
+    found = np.sqrt(np.sum(left**2, axis=0) / free_rows)
     floor = LEAST_NOISE * np.std(problem.data.y, axis=0)
     noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
     if np.isfinite(fit.chi2):
         problem = replace(problem, noise=noise)
-        fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
+        fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit, ridge)
     return fit, problem

@@ -17,7 +17,7 @@ from sindy_surge.library import monomials
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.errors import InputError
-from surge_core.types import BoolArray, FloatArray, IntArray
+from surge_core.types import BoolArray, FloatArray, IndexArray, IntArray
 
 # Central differences: the cube root of the rounding error, as a share of each state's size.
 _STEP = 6e-6
@@ -31,14 +31,16 @@ class Features:
 
     library: Any  # Fitted to states and inputs together
     names: tuple[str, ...]  # Names of its terms, as pysindy writes them
-    size: FloatArray  # (n_states,): Size of each state, for the steps of numerical derivatives
+    # (n_columns,): Size of each state and input, for the steps of numerical derivatives
+    size: FloatArray
 
     @classmethod
     def of(cls, library: Any, names: Sequence[str], x: FloatArray, u: FloatArray) -> Features:
         """Fit a copy of a library to states and inputs of these names, or refuse its bad terms."""
-        size = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
+        z = np.column_stack((x, u))
+        size = np.maximum(np.sqrt(np.mean(z**2, axis=0)), 1e-300)
         with np.errstate(all="ignore"):
-            found = cls(*fitted_library(library, np.column_stack((x, u)), names), size)
+            found = cls(*fitted_library(library, z, names), size)
             bad = np.flatnonzero(~np.isfinite(found.values(x, u)).all(axis=0))
         if bad.size:
             raise InputError(
@@ -65,11 +67,11 @@ class Features:
             return monomials(z, self._powers)
         return np.asarray(self.library.transform(z), dtype=np.float64)
 
-    def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms)."""
+    def derivatives(self, x: FloatArray, u: FloatArray, columns: IndexArray) -> FloatArray:
+        """Return ∂s_i/∂z_j by some of all columns z, of shape (n_columns, n_rows, n_terms)."""
         z = np.column_stack((x, u))
         found = []
-        for j in range(x.shape[1]):
+        for j in columns.tolist():
             if self._powers is not None:
                 lower = self._powers.copy()
                 lower[:, j] = np.maximum(lower[:, j] - 1, 0)
@@ -138,10 +140,10 @@ class WiderFeatures(Features):
         """Return the terms and the others (n_rows, n_terms) at states and inputs (n_rows, …)."""
         return self._with_others(x, u)[:, self.kept]
 
-    def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return ∂s_i/∂x_j of shape (n_states, n_rows, n_terms), 0 of others: none is in."""
+    def derivatives(self, x: FloatArray, u: FloatArray, columns: IndexArray) -> FloatArray:
+        """Return ∂s_i/∂z_j of shape (n_columns, n_rows, n_terms), 0 of others: none is in."""
         more = self.kept.size - len(self.names)
-        return np.pad(super().derivatives(x, u), ((0, 0), (0, 0), (0, more)))
+        return np.pad(super().derivatives(x, u, columns), ((0, 0), (0, 0), (0, more)))
 
 
 def _times(term: str, name: str) -> str:
@@ -224,6 +226,15 @@ class Trajectories:
         shown = [difference_noise(y, self.runs, 6) for y in self.y.T]
         return np.asarray(np.maximum(shown, LEAST_NOISE * np.std(self.y, axis=0)))
 
+    @cached_property
+    def input_noise(self) -> FloatArray:
+        """The least of each input that differences show; 0 where no converter would have seen it.
+
+        Of an input in steps first differences show the least, of a smooth one the sixth.
+        """
+        shown = [min(difference_noise(u, self.runs, k) for k in range(1, 7)) for u in self.u.T]
+        return np.where(shown > LEAST_NOISE * np.std(self.u, axis=0), shown, 0.0)
+
     def smooth(self) -> FloatArray:
         """Return the states, smoothed as far as their noise asks for."""
         result = np.empty_like(self.y)
@@ -255,6 +266,7 @@ class Trajectories:
         offset = self.runs.offsets()[1:]
         return np.asarray(offset % rows != 0 if rows else offset > 0)
 
+    @cached_property
     def end_inputs(self) -> FloatArray:
         """Return the inputs on arrival at the next row, (n_rows - 1, n_inputs)."""
         return np.where(self.held, self.u[:-1], self.u[1:])
@@ -274,10 +286,11 @@ class Trajectories:
             self._between[share, degree] = value
         return self._between[share, degree]
 
+    @cached_property
     def middle_inputs(self) -> FloatArray:
         """Return the inputs half-way between rows (n_rows - 1, n_inputs), smooth ones by cubics."""
         u, joined = self.u, self.within()
-        linear = 0.5 * (self.end_inputs() + u[:-1])
+        linear = 0.5 * (self.end_inputs + u[:-1])
         if u.shape[0] < 4 or not u.shape[1]:
             return linear
         cubic = linear.copy()

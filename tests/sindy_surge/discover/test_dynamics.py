@@ -150,6 +150,34 @@ def test_an_input_that_is_held_between_rows():
     assert np.abs(model.simulate([0.0], t, u)[:, 0] - run).max() < 0.05 * run.std()
 
 
+@pytest.mark.parametrize("kind", ["smooth", "steps", "rough and exact"])
+def test_noise_on_an_input_is_estimated_where_its_own_rows_show_it(kind):
+    """Taken as exact, an input with 3 % of noise makes ten and more false terms an equation."""
+    pulls, t, size = [], np.arange(1200) * 0.05, 0.0 if kind == "rough and exact" else 0.03
+
+    def rate(s, z, u):
+        force = np.interp(s, t, u) if kind == "smooth" else u[int(s / 0.05 + 1e-6)]
+        return [force + z[0] * (z[1] - 1), 1 - z[0] ** 2 - z[1] / 2]
+
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        u = np.sin(np.outer(t, [0.11, 0.5, 0.9]) + rng.uniform(0, 6, 3)).sum(axis=1)
+        if kind != "smooth":
+            u = np.repeat(rng.normal(size=1200), 25 if kind == "steps" else 1)[:1200]
+        exact = {"rtol": 1e-8, "atol": 1e-9, "max_step": 0.05}
+        run = solve_ivp(rate, (0, t[-1]), [0.5, 0], "RK45", t, args=(u,), **exact)
+        noisy = (run.y + 0.01 * run.y.std(axis=1)[:, None] * rng.normal(size=run.y.shape)).T
+        model = SparseDynamics()
+        model.fit(noisy, t, u + size * u.std() * rng.normal(size=1200), ["x", "y", "u"])
+        assert model.terms_ == (("x", "u", "x y"), ("1", "y", "x^2"))
+        assert model.input_noise_ == pytest.approx(size * u.std(), rel=0.15)
+        terms = [term for own in model.equation_terms_ for term in own]
+        true = (-1.0, 1.0, 1.0, 1.0, -0.5, -1.0)
+        pulls += [(q.coefficient - c) / q.stderr for q, c in zip(terms, true, strict=True)]
+    assert np.abs(pulls).max() < 4.0
+    assert np.sum(np.square(pulls)) < chi2.ppf(0.995, len(pulls))
+
+
 def test_inputs_that_are_too_coarse_to_be_followed_are_said():
     """Five rows a period of the input, between which no two splines agree."""
 
