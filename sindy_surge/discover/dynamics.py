@@ -7,52 +7,37 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from scipy.stats import chi2, norm
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.discover.collocation import Collocation, Fit
+from sindy_surge.discover.columns import apart, as_fitted, check_names, moving
+from sindy_surge.discover.ending import ASKED_BEYOND, CLEAN, ended
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.late import Late, read_late
 from sindy_surge.discover.levels import (
     RIVAL,
     Level,
-    pays_beyond,
     search_by_levels,
     with_noisy_inputs,
 )
 from sindy_surge.discover.trajectories import (
-    LEAST_NOISE,
     Features,
     Trajectories,
     listed,
     times_of,
 )
 from sindy_surge.search import Tried
-from sindy_surge.segments import Segments
 from surge_core.errors import InputError, one_of
 from surge_core.fit_state import FitState
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 # How freely a hidden state moves in one step, in units of its spread.
 _HIDDEN_FREEDOM = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
-# Of splines through the inputs, beside the cubic ones: where both agree, either will do.
-_OTHER_DEGREE = 5
-# What is left over the noise that differences show, before a run of it withholds the equations.
-_EXCESS = 1.2
-# Lags at which what the equations leave is held against white noise, and how rarely that may fail
-# by chance. A pendulum with cubic terms and 2 % noise left 1.03 times the noise, and its
-# coefficients were off by seven and more of their stated errors.
-_LAGS = 10
-_BY_CHANCE = 1e-4
-# States that state equations without reserve; those in which terms beyond the library are asked
-# for; and those in which late readings may hide.
-_CLEAN = (FitState.OK, FitState.UNDECIDED)
-_ASKED_BEYOND = (*_CLEAN, FitState.LIBRARY_TOO_SMALL, FitState.COLOURED_REST)
-_MAY_BE_LATE = (*_ASKED_BEYOND, FitState.UNEXPLAINED)
+# States in which late readings may hide.
+_MAY_BE_LATE = (*ASKED_BEYOND, FitState.UNEXPLAINED)
 
 
 class SparseDynamics(BaseEstimator):
@@ -183,7 +168,7 @@ class SparseDynamics(BaseEstimator):
         if (moved := read_late(levels[0], best, rates, given, optimizer)) is not None:
             level, fewer, late = moved
             self._keep([level, *levels], fewer, late)
-            if before not in _CLEAN and self.state_ is not FitState.READ_LATE:
+            if before not in CLEAN and self.state_ is not FitState.READ_LATE:
                 # With the readings moved something else is missing as well.
                 self._keep(levels, best)
         return self
@@ -258,7 +243,7 @@ class SparseDynamics(BaseEstimator):
         check_is_fitted(self)
         times, start = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.ravel(x0)
         features, xi = self._features, self.coef_.T
-        _as_fitted("x0", start.size, self.state_names_)
+        as_fitted("x0", start.size, self.state_names_)
         if start.dtype.kind not in "fiu" or not np.isfinite(start).all():
             raise InputError("x0", expected="finite numbers", found=f"{x0}")
         inputs, held = self._inputs(times, u), bool(self.held_inputs_)
@@ -295,11 +280,11 @@ class SparseDynamics(BaseEstimator):
 
         n = len(self.input_names_)
         if callable(u):
-            _as_fitted("u", np.size(u(times[0])), self.input_names_)
+            as_fitted("u", np.size(u(times[0])), self.input_names_)
             called: Callable[[float], FloatArray] = u
             return called
         given = listed("u", np.atleast_1d(u))[0] if u is not None else np.zeros((times.size, 0))
-        _as_fitted("u", given.shape[1], self.input_names_)
+        as_fitted("u", given.shape[1], self.input_names_)
         if n:
             # A clock that rises, as in `fit`.
             times_of(times, len(given))
@@ -322,10 +307,10 @@ class SparseDynamics(BaseEstimator):
         """
         check_is_fitted(self)
         data = Trajectories.of(x, t, u)
-        _as_fitted("x", data.y.shape[1], [n for n in self.state_names_ if n not in self.hidden])
-        _as_fitted("u", data.u.shape[1], self.input_names_)
+        as_fitted("x", data.y.shape[1], [n for n in self.state_names_ if n not in self.hidden])
+        as_fitted("u", data.u.shape[1], self.input_names_)
         data = replace(data, held=self.search_.likelihood.data.held)
-        _moving(data.y, self.state_names_)
+        moving(data.y, self.state_names_)
         if self.late_ is not None:
             data = self.late_.undone(data, data.smooth())
         problem = Collocation(
@@ -356,10 +341,10 @@ class SparseDynamics(BaseEstimator):
         default = [f"x{i}" for i in range(n_states)] + [f"u{i}" for i in range(n_inputs)]
         named = list(default if names is None else names)
         named += default[len(named) :] if len(named) == n_states else []
-        _check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
+        check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
         states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
-        _apart(np.column_stack((data.y, data.u)), named[: data.y.shape[1] + data.u.shape[1]])
+        apart(np.column_stack((data.y, data.u)), named[: data.y.shape[1] + data.u.shape[1]])
         known = self._checked_known()
         noise = data.noise
         data = self._with_hidden(data, known)
@@ -485,8 +470,13 @@ class SparseDynamics(BaseEstimator):
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
+        columns = (*self.state_names_, *self.input_names_)
         self.beyond_: tuple[str, ...] = ()
-        self.state_ = self._state(problem, best)
+        if self.search == "optimizer" and np.isfinite(best.fit.chi2):
+            self.state_ = FitState.PROPOSED
+        else:
+            late_read = late is not None
+            self.state_, self.beyond_ = ended(search, best, self.rivals_, columns, late=late_read)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -508,105 +498,6 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried[Fit]) -> FitState:
-        if self.search == "optimizer" and np.isfinite(best.fit.chi2):
-            return FitState.PROPOSED
-        if not np.isfinite(best.score) or not best.support:
-            return FitState.NO_EQUATIONS
-        # What is left below the noise assumed at least, or below one step of the readings, is
-        # rounding, which follows the signal.
-        left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
-        y = problem.data.y[:, ~problem.hidden]
-        step = np.array([np.min(np.diff(np.unique(column))) for column in y.T])
-        least = np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
-        coloured = (np.std(left, axis=0) > least) & _coloured(left, problem.data.runs)
-        large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
-        # The largest of so many normal numbers; one run may be noisier than another.
-        most = norm.isf(_BY_CHANCE / (2.0 * left.size))
-        runs = [left[rows] for rows in problem.data.runs.slices()]
-        far = [abs(own) > most * np.maximum(np.std(own, axis=0), least) for own in runs]
-        found = {
-            FitState.UNEXPLAINED: np.any(coloured & large),
-            FitState.SHORT_RUNS_ONLY: problem.rows is not None,
-            # By more than a standard error each, in the mean square.
-            FitState.COARSE_ROWS: problem.rule_moves(best.support, best.fit, _OTHER_DEGREE)
-            > len(best.support),
-            FitState.COLOURED_REST: np.any(coloured),
-            FitState.ODD_ROWS: any(map(np.any, far)),
-            FitState.READ_LATE: self.late_ is not None,
-            # The weight of a model is e to its score.
-            FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in self.rivals_) > 1.0,
-        }
-        state = next((state for state, is_so in found.items() if is_so), FitState.OK)
-        if state in (*_ASKED_BEYOND, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
-            columns = (*self.state_names_, *self.input_names_)
-            self.beyond_ = pays_beyond(self.search_, best, columns)
-        clean = state is not FitState.COLOURED_REST
-        return FitState.LIBRARY_TOO_SMALL if self.beyond_ and clean else state
-
 
 def _no_terms(problem: Collocation, x: FloatArray) -> Fit:
     return Fit(np.zeros_like(problem.known), x, problem.data.u, np.inf, np.zeros((0, 0)), False)
-
-
-def _coloured(left: FloatArray, runs: Segments) -> BoolArray:
-    """Tell which columns of what the equations leave come in runs.
-
-    By the sum over lags of the squared correlations, each in units of its own scatter, so that
-    noise may differ between rows (Lobato, Nankervis & Savin 2001). Those below zero do not count:
-    starts that are fitted make them.
-    """
-    offset, q = runs.offsets(), np.zeros(left.shape[1])
-    for lag in range(1, _LAGS + 1):
-        pairs = (offset[lag:] >= lag)[:, None] * left[lag:] * left[:-lag]
-        scatter = np.maximum(np.sum(pairs**2, axis=0), 1e-300)
-        q += np.maximum(pairs.sum(axis=0), 0.0) ** 2 / scatter
-    return np.asarray(chi2.sf(q, _LAGS) < _BY_CHANCE)
-
-
-def _apart(columns: FloatArray, names: Sequence[str]) -> None:
-    """Refuse a column that does not move, or that others give without error."""
-    _moving(columns, names)
-    scaled = (columns - columns.mean(axis=0)) / np.std(columns, axis=0)
-    for j in np.setdiff1d(np.arange(len(names)), independent_columns(scaled)).tolist():
-        raise InputError(
-            names[j],
-            expected="a column of its own",
-            found="what the columns before it give without error",
-            remedy="leave it out: no record can part what it does from what they do",
-        )
-
-
-def _moving(columns: FloatArray, names: Sequence[str]) -> None:
-    still = np.ptp(columns, axis=0) <= 1e-12 * np.abs(columns).max(axis=0)
-    for j in np.flatnonzero(still).tolist():
-        raise InputError(
-            names[j],
-            expected="a column that moves",
-            found="a constant",
-            remedy="leave it out: what it does is the term 1",
-        )
-
-
-def _as_fitted(name: str, found: int, names: Sequence[str]) -> None:
-    """Refuse another number of columns than was fitted."""
-    if found != len(names):
-        raise InputError(
-            name,
-            expected=f"{len(names)} columns, as fitted" + (f": {', '.join(names)}" * bool(names)),
-            found=str(found),
-        )
-
-
-def _check_names(names: Sequence[str], wanted: int) -> None:
-    texts = [name for name in names if isinstance(name, str)]
-    # "x y" beside x and y is the name of a term too.
-    factors = {n: {factor.partition("^")[0] for factor in n.split()} for n in texts}
-    terms = [n for n in texts if n == "1" or factors[n] <= {"1", *texts} - {n}]
-    if terms or not len(set(texts)) == wanted == len(names):
-        raise InputError(
-            "feature_names, hidden",
-            expected=f"{wanted} different names of states and inputs, as text, none that of a term",
-            found=(", ".join(map(str, names)) or "none")
-            + "".join(f"; {name!r} reads as a term" for name in terms[:1]),
-        )
