@@ -14,13 +14,13 @@ import numpy as np
 from sindy_surge.candidate_terms import PhysicalForm
 from sindy_surge.constraints import Constraints
 from sindy_surge.lag_fit import StructureFit, WhiteEquations, fit_structure, white_equations
-from sindy_surge.linear_problem import LinearProblem, Support, unit_norms, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.preparation import Prepared
 from sindy_surge.search import Search, beam_search, best_of_equation, proposals
 from surge_core.types import FloatArray
 
-# Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when
-# a term acts in that block alone, and decides nothing: χ² changes by one part in 1e9.
+# Weight of a block that a resample leaves out. It keeps a term finite that acts in that block
+# alone, and decides nothing: χ² changes by one part in 1e9.
 _LEAST_WEIGHT = 1e-9
 # The best structures about the record itself are tried in every resample.
 _TRIED = 100
@@ -48,53 +48,33 @@ def inclusion_probabilities(
     often than in new records: the noise of the record at hand is part of what a resample takes for
     true.
 
-    A Gram matrix squares the condition number, which reaches 1e10 between the terms. So the
-    equations are first factored as Q R over all rows, the blocks are summed up as Grams of Q, which
-    is orthogonal, and a resample with Gram G = L L' of Q is the regression on L' R.
+    A resample is the regression on rows weighted by the root of how often they were drawn, each
+    block compressed by QR beforehand.
     """
+    stacked = np.column_stack((equations.nuisances, equations.columns, equations.target))
+    ends = np.searchsorted(equations.rows, [(block.start, block.stop) for block in blocks])
+    sizes = np.diff(ends, axis=1)[:, 0]
+    ends, sizes = ends[sizes > 0], sizes[sizes > 0]
     n_nuisances, n_terms = equations.nuisances.shape[1], equations.columns.shape[1]
-    forced = tuple(required)
-    triangle, grams, sizes = _compressed_blocks(equations, blocks)
-    if not len(grams):
+    if not sizes.size:
         return np.full(n_terms, np.nan)
     linear = equations.compressed()
     ranked = sorted(
         (chi2 / linear.variance + penalty_per_term * size, support)
-        for size, found in beam_search(linear, max_terms, required=forced).items()
+        for size, found in beam_search(linear, max_terms, required=tuple(required)).items()
         for chi2, support in found
     )
     tried = [support for _, support in ranked[:_TRIED]]
-    counts = rng.multinomial(len(grams), np.full(len(grams), 1 / len(grams)), size=n_resamples)
+    own = [np.linalg.qr(stacked[first:stop], mode="r") for first, stop in ends]
+    block, rows = np.repeat(np.arange(len(own)), [len(each) for each in own]), np.concatenate(own)
     held = np.zeros(n_terms)
-    for drawn in counts:
-        summed = np.tensordot(drawn + _LEAST_WEIGHT, grams, axes=1)
-        rows = np.linalg.cholesky(summed).T @ triangle
-        n_equations = int(drawn @ sizes)
-        resample = without_nuisances(
-            rows[:, :n_nuisances], rows[:, n_nuisances:-1], rows[:, -1], n_equations
-        )
+    for drawn in rng.multinomial(len(own), np.full(len(own), 1 / len(own)), size=n_resamples):
+        weighted = rows * np.sqrt(drawn + _LEAST_WEIGHT)[block, None]
+        nuisances, columns = weighted[:, :n_nuisances], weighted[:, n_nuisances:-1]
+        resample = without_nuisances(nuisances, columns, weighted[:, -1], int(drawn @ sizes))
         best = min(tried, key=lambda support: resample.score(support, penalty_per_term))
         held[list(best)] += 1
     return held / n_resamples
-
-
-def _compressed_blocks(
-    equations: WhiteEquations, blocks: Sequence[slice]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R, the Gram of Q in each block that has equations, and their number there."""
-    ordered = sorted(blocks, key=lambda block: block.start)
-    used = [
-        slice(*np.searchsorted(equations.rows, (block.start, block.stop)).tolist())
-        for block in ordered
-    ]
-    used = [rows for rows in used if rows.stop > rows.start]
-    stacked = np.column_stack((equations.nuisances, equations.columns, equations.target))
-    norms = unit_norms(stacked)
-    orthogonal, triangle = np.linalg.qr(stacked / norms)
-    # The target keeps its size: χ² is in units of the noise.
-    triangle[:, -1] *= norms[-1]
-    grams = np.array([orthogonal[rows].T @ orthogonal[rows] for rows in used])
-    return triangle, grams, np.array([rows.stop - rows.start for rows in used], dtype=np.float64)
 
 
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
