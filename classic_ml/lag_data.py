@@ -6,7 +6,7 @@ And what the fit takes the error of ψ' to be: arx, armax or output error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -293,17 +293,3 @@ class LagData:
     def lag(self, log_tau: float) -> FirstOrderLag:
         """Return the lag of a trial time constant."""
         return FirstOrderLag(float(np.exp(log_tau)), self.sample_period_s, self.hold)
-
-    def head(self, n_rows: int) -> LagData:
-        """Return the same on the first runs, up to about ``n_rows`` rows."""
-        runs: list[slice] = []
-        left = n_rows
-        for run in self.runs:
-            if left <= 0:
-                break
-            runs.append(slice(run.start, min(run.stop, run.start + left)))
-            left -= run.stop - run.start
-        end = runs[-1].stop
-        return replace(
-            self, y=self.y[:end], terms=self.terms[:end], weight=self.weight[:end], runs=tuple(runs)
-        )

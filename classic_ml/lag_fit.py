@@ -1,4 +1,4 @@
-"""From a record to τ, the characteristic and their covariance: scan, head, whole record, blocks."""
+"""From a record to τ, the characteristic and their covariance: scan, search, blocks."""
 
 from __future__ import annotations
 
@@ -24,19 +24,14 @@ from surge_core.types import FloatArray
 # that there a search ends at its one minimum from anywhere.
 SCAN_POINTS = 6
 FEW_SCAN_POINTS = 4
-SCAN_ROWS = 4_000
-# A search is brought to its end on this share of a long record before the first pass over all.
-HEAD_SHARE = 0.05
 MAXIMUM_ITERATIONS = 200
 # With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
 # the minimum is still at it.
 COARSE_DECREMENT = 1e-4
 # Three standard errors short of the minima, the parabola says which of them is the lower.
 CHOICE_DECREMENT = 10.0
-# A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-6 no test.
-NEWTON_DECREMENT = 1e-8
-FINE_DECREMENT = 1e-12
-LONG_RECORD = 200_000
+# A step of 1e-6 standard errors changes no test.
+NEWTON_DECREMENT = 1e-12
 # Of the cost: smaller differences between two passes are rounding.
 BLIND = 1e-11
 # Normalised eigenvalue of the terms' own normal equations: below it they cannot be separated.
@@ -62,8 +57,7 @@ class LagFit:
 
 def fit_lag(data: LagData, terms: Terms) -> LagFit:
     """Fit a lag model to a record; ``terms`` says how those of the data come from the user's."""
-    is_long = data.rows_of_errors.size > LONG_RECORD
-    at, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
+    at, state = _search(data)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
@@ -116,14 +110,14 @@ def _is_deficient(gram: FloatArray) -> bool:
     return bool(values.size and values[0] <= RANK_LIMIT * values[-1])
 
 
-def _search(data: LagData, starts: list[FloatArray], tolerance: float) -> tuple[Profile, FitState]:
+def _search(data: LagData) -> tuple[Profile, FitState]:
     """Refine from each start and return the best fit, and how it ended."""
-    found = [profile(data, start) for start in starts]
+    found = [profile(data, start) for start in _starts(data)]
     if len(found) > 1:
         # The choice among them needs no more digits than their costs differ in.
         ends = [_refine(at, CHOICE_DECREMENT)[0] for at in found]
         found = [min(ends, key=lambda end: end.cost - end.decrement)]
-    return _refine(found[0], tolerance)
+    return _refine(found[0], NEWTON_DECREMENT)
 
 
 def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
@@ -169,22 +163,6 @@ def _step(at: Profile, damping: float) -> tuple[Profile | None, float]:
 
 
 def _starts(data: LagData) -> list[FloatArray]:
-    """Scan log τ on the head of the record, and search on that and on a longer head."""
-    n_rows = sum(run.stop - run.start for run in data.runs)
-    lengths = [rows for rows in (SCAN_ROWS, int(HEAD_SHARE * n_rows)) if SCAN_ROWS <= rows < n_rows]
-    heads = [data.head(rows) for rows in lengths]
-    heads = [h for h in heads if h.scored.size > h.n_parameters(h.terms.shape[1]) + 3]
-    starts = _shapes(heads[0] if heads else data)
-    for head in heads:
-        at, state = _search(head, starts, COARSE_DECREMENT)
-        if state is not FitState.CONVERGED:
-            # φ stands still there, say: the choice is made on the whole record.
-            return _shapes(data)
-        starts = [at.shape]
-    return starts
-
-
-def _shapes(data: LagData) -> list[FloatArray]:
     """Return the shapes from which to search: armax starts from arx and from output error."""
     if data.is_output_error or data.order == 0:
         points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
