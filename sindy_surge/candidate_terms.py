@@ -211,51 +211,29 @@ class CandidateTerms:
     ) -> FloatArray:
         """Evaluate terms in physical units, (n_rows, n_wanted), at inputs (n_rows, n_inputs).
 
-        ``wanted`` are positions of terms, rising; without them it is all, or without ψ' at the same
-        rows all that do not hold it. Where ``strict``, a term that is not finite somewhere is
-        refused.
+        ``wanted`` are positions of terms; without them it is all, or without ψ' at the same rows
+        all that do not hold it. Where ``strict``, a term that is not finite somewhere is refused.
         """
-        own, edge = len(self._own_names), self.n_without_state
-        if wanted is None:
-            wanted = range(edge if psi_p is None else len(self.names))
-        parts: list[FloatArray] = []
-        inputs_alone = [i for i in wanted if i < own]
-        if inputs_alone:
-            parts.append(self._of_inputs(X, inputs_alone, strict=strict))
-        extra = [self._extra[i - own] for i in wanted if own <= i < edge]
-        parts += [np.maximum(X[:, 0] - knot, 0.0)[:, None] for knot in extra]
-        with_state = [i - edge for i in wanted if i >= edge]
-        if with_state and self.states is not None and psi_p is not None:
-            parts.append(self.states(X, psi_p)[:, with_state])
-        if not parts:
-            return np.empty((X.shape[0], 0))
-        return parts[0] if len(parts) == 1 else np.asfortranarray(np.hstack(parts))
-
-    def _of_inputs(
-        self, X: FloatArray, wanted: Sequence[int] | None = None, *, strict: bool = True
-    ) -> FloatArray:
-        """Evaluate terms of the library as a plain array."""
         # A plain float array: pysindy hands back its own subclass, slow in everything after.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            if wanted is not None and hasattr(self._library, "columns_at"):
-                values = self._library.columns_at(X, wanted)
-            else:
-                values = self._library.transform(X)
-                values = np.array(values, dtype=np.float64, order="F", subok=False)
-                values = values if wanted is None else values[:, list(wanted)]
-        bad = np.argwhere(~np.isfinite(values)) if strict else np.empty((0, 2))
+            values = np.array(self._library.transform(X), dtype=np.float64, subok=False)
+        asked = range(len(self._own_names)) if wanted is None else wanted
+        own = [i for i in asked if i < len(self._own_names)]
+        bad = np.argwhere(~np.isfinite(values[:, own])) if strict else np.empty((0, 2))
         if bad.size:
             row, column = bad[0].tolist()
-            position = column if wanted is None else wanted[column]
             raise InputError(
                 "library",
                 expected="finite terms over the whole range of the data",
-                found=f"an infinite or NaN value of {self._own_names[position]!r}, "
+                found=f"an infinite or NaN value of {self._own_names[own[column]]!r}, "
                 f"first at inputs {np.round(X[row], 6).tolist()}",
                 remedy="leave that term out, or restrict the range",
             )
-        result: FloatArray = values
-        return result
+        columns = [values, *(np.maximum(X[:, 0] - knot, 0.0) for knot in self._extra)]
+        if self.states is not None and psi_p is not None:
+            columns.append(self.states(X, psi_p))
+        every = np.column_stack(columns)
+        return every if wanted is None else every[:, list(wanted)]
 
 
 def fitted_library(

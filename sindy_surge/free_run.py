@@ -332,11 +332,7 @@ class FreeModel:
 
     def values(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
         """Evaluate the terms: from (n, n_inputs) when they act and ψ' then to (n, n_terms)."""
-        order = np.argsort(self.selected, kind="stable")
-        rising = self.terms(inputs, psi_p, self.selected[order].tolist())
-        values = np.empty_like(rising)
-        values[:, order] = rising
-        return values
+        return self.terms(inputs, psi_p, self.selected.tolist())
 
     def forcing(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
         """Return Σ β_i s_i; see `values`."""

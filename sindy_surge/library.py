@@ -56,21 +56,9 @@ class StallLibrary:
         return self
 
     def transform(self, X: FloatArray) -> FloatArray:
-        """Evaluate all terms."""
-        return self.columns_at(X, range(len(self._powers) + len(self._special)))
-
-    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
-        """Evaluate the terms at some positions: (n_rows, n_inputs) to (n_rows, n_wanted)."""
-        n_powers = len(self._powers)
-        columns = np.empty((x.shape[0], len(wanted)), order="F")
-        plain = [number for number, position in enumerate(wanted) if position < n_powers]
-        columns[:, plain] = monomials(x, self._powers[[wanted[number] for number in plain]])
-        for number, position in enumerate(wanted):
-            if position < n_powers:
-                continue
-            j, kind, value = self._special[position - n_powers]
-            columns[:, number] = _SPECIAL[kind][0](x[:, j], value)
-        return columns
+        """Evaluate all terms: (n_rows, n_inputs) to (n_rows, n_terms)."""
+        special = [_SPECIAL[kind][0](X[:, j], value) for j, kind, value in self._special]
+        return np.column_stack([monomials(X, self._powers), *special])
 
     def get_feature_names(self, input_features: Sequence[str]) -> list[str]:
         """Return the names, e.g. ``phi^2`` or ``relu(phi-0.05)``."""
