@@ -30,7 +30,6 @@ START_S = 0.02
 LOSS_AVERAGE_S = 0.005
 # Columns with less than this of the largest are no columns.
 RANK = 1e-7
-NORMAL_RANK = 1e-12
 FEWEST_UNSTALLED = 20
 HIGHER_HINGE = 1.3
 # The cells are gone before this average, so that it may be shorter than half their period, and must
@@ -166,29 +165,17 @@ class FreeRun:
 
     def profile(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
         """Return coefficients and errors of the least squares for a τ, each piece with a start."""
-        own, scale = self._scaled(tau_s)
-        measured = self.psi_p[self.scored]
+        answers = responses(tau_s, self.passes, self.inputs)
+        # By all rows: a column may be nothing in those that are scored.
+        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+        own, measured = answers[self.scored] / scale, self.psi_p[self.scored]
         coefficients = np.asarray(np.linalg.lstsq(own, measured, rcond=RANK)[0])
         return coefficients / scale, measured - own @ coefficients
 
     def least_error(self, tau_s: float) -> float:
-        """Return the mean square error of that, by the normal equations: five times quicker.
-
-        Where the coefficients are not asked for, what a bad condition costs is far below the noise.
-        """
-        own, measured = self._scaled(tau_s)[0], self.psi_p[self.scored]
-        values, vectors = np.linalg.eigh(own.T @ own)
-        seen = values > NORMAL_RANK * values[-1]
-        along = vectors[:, seen].T @ (own.T @ measured)
-        explained = float(np.sum(along**2 / values[seen]))
-        return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
-
-    def _scaled(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the scored rows of the answers, and what their columns were divided by."""
-        answers = responses(tau_s, self.passes, self.inputs)
-        # By all rows: a column may be nothing in those that are scored.
-        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-        return answers[self.scored] / scale, scale
+        """Return the mean square error of that."""
+        errors = self.profile(tau_s)[1]
+        return float(errors @ errors) / max(errors.size, 1)
 
 
 def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:
@@ -217,17 +204,16 @@ def fit_branches(
     from scipy.optimize import minimize_scalar
 
     run = FreeRun.of(passes, spec, in_stall, scored)
-
-    def cost(log_tau: float) -> float:
-        return run.least_error(math.exp(log_tau)) * int(run.scored.sum())
-
     if near_s is None:
         best = int(np.argmin([run.least_error(tau_s) for tau_s in TAUS_S]))
         ends = TAUS_S[max(best - 1, 0)], TAUS_S[min(best + 1, TAUS_S.size - 1)]
     else:
         ends = near_s * math.exp(-AROUND), near_s * math.exp(AROUND)
-    low, high = math.log(ends[0]), math.log(ends[1])
-    log_tau = float(minimize_scalar(cost, bounds=(low, high), options={"xatol": 2e-4}).x)
-    coefficients, errors = run.profile(math.exp(log_tau))
-    at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < END
-    return BranchFit(math.exp(log_tau), coefficients, errors, run.scored, at_end)
+    found = minimize_scalar(
+        lambda log_tau: run.least_error(math.exp(log_tau)),
+        bounds=(math.log(ends[0]), math.log(ends[1])),
+        options={"xatol": 2e-4},
+    )
+    tau_s = math.exp(found.x)
+    at_end = min(math.log(tau_s / TAUS_S[0]), math.log(TAUS_S[-1] / tau_s)) < END
+    return BranchFit(tau_s, *run.profile(tau_s), run.scored, at_end)
