@@ -59,7 +59,7 @@ def calibrate(
     added = []
     for channel in test.channels:
         values = total_reading(channel, test, record[channel.name], moved.get(channel.name, 0.0))
-        added.append(Channel.adopt(channel.name, values, channel.si_unit))
+        added.append(Channel(channel.name, values, channel.si_unit))
     n_counts = sum(isinstance(probe, CountChannel) for probe in test.pressures)
     ways = []
     if n_counts:
@@ -179,7 +179,7 @@ def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool 
     for couple in couples:
         slope_K_s = np.gradient(record[couple.name], record.sample_period_s)
         gas_K = record[couple.name] + couple.time_constant_s * slope_K_s
-        added.append(Channel.adopt(couple.name, gas_K, "K"))
+        added.append(Channel(couple.name, gas_K, "K"))
     entry = LedgerEntry(
         "thermocouples",
         f"lag of {len(couples)} junctions inverted by T + τ dT/dt",

@@ -131,4 +131,4 @@ def coefficients(record: Record, test: TestDescription) -> Record:
         "pressure_ratio": (exit_Pa / inlet_Pa, "1"),
         "dW25_dt_kg_s2": (flow_rate, "kg/s2"),
     }
-    return record.after(entry, add=[Channel.adopt(n, v, u) for n, (v, u) in added.items()])
+    return record.after(entry, add=[Channel(n, v, u) for n, (v, u) in added.items()])

@@ -202,7 +202,7 @@ def filter_channels(
         if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
             held[f"held_{name}"] = int(np.count_nonzero(smooth < least))
             smooth = np.maximum(smooth, least)
-        added.append(Channel.adopt(name, smooth, channel.unit))
+        added.append(Channel(name, smooth, channel.unit))
     word = "forward and backward, without delay"
     if phase == "causal":
         at_hz = 0.2 * cutoff_hz

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,29 +67,21 @@ class Channel:
     name : str
         Channel name, unique in its record.
     values : ndarray of shape (n_samples,)
-        The samples, read-only float64 (marks of faults may be uint8); a copy unless they were
-        read-only before.
+        The samples, a read-only view as float64 (marks of faults may be uint8).
     unit : str
         SI unit (``"Pa"``, ``"K"``, ``"kg/s"``, ``"1"``), or ``"count"`` before calibration.
     """
 
     name: str
-    values: FloatArray
+    values: NDArray[Any]
     unit: str
 
     def __post_init__(self) -> None:
         given = np.asarray(self.values)
-        values = given if given.dtype == np.uint8 else np.asarray(given, dtype=np.float64)
-        if values.flags.writeable:
-            values = values.copy() if values is given else values
-            values.setflags(write=False)
-        object.__setattr__(self, "values", values)
-
-    @classmethod
-    def adopt(cls, name: str, values: FloatArray | NDArray[np.uint8], unit: str) -> Channel:
-        """Build a channel of an array that has just been computed and has no other owner."""
+        kind = np.uint8 if given.dtype == np.uint8 else np.float64
+        values = given.astype(kind, copy=False).view()
         values.setflags(write=False)
-        return cls(name, cast(FloatArray, values), unit)
+        object.__setattr__(self, "values", values)
 
 
 @dataclass(frozen=True)
@@ -137,7 +129,7 @@ class Record(Displayed):
         cls, arrays: Mapping[str, tuple[ArrayLike, str]], *, sample_rate_hz: float, source: str = ""
     ) -> Record:
         """Build a record from ``{name: (values, unit)}``."""
-        channels = {n: Channel(n, np.asarray(v), unit) for n, (v, unit) in arrays.items()}
+        channels = {n: Channel(n, np.array(v), unit) for n, (v, unit) in arrays.items()}
         return cls(channels, sample_rate_hz, source=source)
 
     def __getitem__(self, name: str) -> FloatArray:

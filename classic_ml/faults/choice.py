@@ -187,7 +187,7 @@ def with_faults_bridged(record: Record, names: Iterable[str], kinds: int = ALL_K
         sound = record.marks(name) & kinds == 0
         if name in record and not sound.all():
             values = bridged(record[name], sound)
-            channels[name] = Channel.adopt(name, values, record.channel(name).unit)
+            channels[name] = Channel(name, values, record.channel(name).unit)
     return replace(record, channels=channels)
 
 

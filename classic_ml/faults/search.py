@@ -154,7 +154,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         flags=tuple(findings),
     )
     return record.after(
-        entry, add=[Channel.adopt(fault_name(name), mark, "1") for name, mark in marks.items()]
+        entry, add=[Channel(fault_name(name), mark, "1") for name, mark in marks.items()]
     )
 
 

@@ -251,7 +251,7 @@ def _record(
         values = np.asarray(columns.pop(channel.file_column), dtype=np.float64)
         values = channel.conversion.to_si(values)
         _check_readings(stored, test, channel, values, rows_before)
-        channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
+        channels[channel.name] = Channel(channel.name, values, channel.record_unit)
     rate_hz = test.sample_rate_hz
     made = "; the clock is made from the sample rate" if test.file.clock == "from rate" else ""
     entry = LedgerEntry(

@@ -364,7 +364,7 @@ def test_one_reading_that_is_no_pressure_is_bridged_and_many_are_refused() -> No
     def spoilt(n_rows: int) -> Record:
         values = np.array(calibrated[name])
         values[2000 : 2000 + n_rows] = -849.0
-        channel = Channel.adopt(name, values, "Pa")
+        channel = Channel(name, values, "Pa")
         return replace(calibrated, channels={**calibrated.channels, name: channel})
 
     flow = local_flows(spoilt(1), test)
