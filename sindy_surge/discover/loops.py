@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from sindy_surge.discover.loop_balance import Balance, fit_balance
@@ -17,7 +17,7 @@ from sindy_surge.segments import Segments
 from sindy_surge.text import signed_sum
 from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
 STATES = ("phi", "psi_p", "plenum")
 # Two branches must leave less than this share of the variance that the richest single one leaves.
@@ -27,12 +27,13 @@ _SHARE = 0.7
 _NOISE = 0.8
 _FEWEST_CYCLES = 4
 _FEWEST_SAMPLES = 30
-_SUBSTEPS = 8
+_TOLERANCE = 1e-8
 _CYCLES = 10
 # Simulated and measured cycles agree within this.
 _AGREEMENT = 0.05
 # Of the right structure the rest of ψ' is its white noise, and what the noise of φ adds.
 _EXCESS = 2.0
+_Rate = Callable[[float, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class SurgeLoop:
         x0 : array-like of shape (3,), optional
             φ, ψ' and Ψ at first; the model's own start by default.
         t : array-like of shape (n_times,), optional
-            Uniform times in seconds; ten periods of the record by default.
+            Times in seconds; ten periods of the record by default.
         throttle : float
             Opening of the throttle over that of the record: factor of √Ψ in dΨ/dt.
 
@@ -117,29 +118,33 @@ class SurgeLoop:
         ndarray of shape (n_times, 3)
             φ, ψ' and Ψ; nan from where the model has run away.
         """
-        if t is None:
-            times = np.arange(0.0, _CYCLES * self.measured_cycles.period_s, self.sample_period_s)
-        else:
-            times = np.asarray(t, dtype=np.float64)
-        first = np.asarray(self.start if x0 is None else x0, dtype=np.float64)
+        from scipy.integrate import solve_ivp
+
+        times = np.arange(0.0, _CYCLES * self.measured_cycles.period_s, self.sample_period_s)
+        times = times if t is None else np.asarray(t, dtype=np.float64)
+        state = np.asarray(self.start if x0 is None else x0, dtype=np.float64)
+        found, begin = np.full((times.size, 3), np.nan), times[0]
         recover, stall = self.lag.levels or (-np.inf, -np.inf)
-        curves = np.zeros((2, 8))
-        kinks = np.zeros((2, 3))
-        for i in range(2):
-            branch = self.lag.branches[min(i, self.n_branches - 1)]
-            for power, beta in zip(branch.powers, branch.coefficients.tolist(), strict=True):
-                if power < 0:
-                    kinks[i, 0], kinks[i, -power] = branch.knot, beta
-                else:
-                    curves[i, power] = beta
-        return _run(
-            first,
-            times.size,
-            float(times[1] - times[0]) / _SUBSTEPS,
-            (curves, kinks, np.array([recover, stall]), self.lag.time_constant_s),
-            (self.duct.exponents, self.duct.coefficients),
-            (self.plenum.exponents, self._throttled(throttle)),
-        )
+        stalled = bool(state[0] < 0.5 * (recover + stall))
+        while True:
+            asked = times >= begin
+            # A model may run away.
+            with np.errstate(all="ignore"):
+                run = solve_ivp(
+                    self._rate(self.lag.branches[0 if stalled else -1], throttle),
+                    (begin, times[-1]),
+                    state,
+                    t_eval=times[asked],
+                    events=[_lost, _beyond(recover, 1.0) if stalled else _beyond(stall, -1.0)],
+                    rtol=_TOLERANCE,
+                    atol=_TOLERANCE,
+                )
+            assert run.t_events is not None
+            assert run.y_events is not None
+            found[np.flatnonzero(asked)[: run.t.size]] = np.reshape(run.y, (3, -1)).T
+            if run.status != 1 or run.t_events[0].size:
+                return found
+            begin, state, stalled = run.t_events[1][0], run.y_events[1][0], not stalled
 
     def operating_point(self, throttle: float = 1.0) -> tuple[FloatArray, float]:
         """Return the steady state on the unstalled branch and the growth rate about it.
@@ -159,12 +164,7 @@ class SurgeLoop:
         from scipy.optimize import root
 
         branch = self.lag.branches[-1]
-        duct, plenum = self.duct, replace(self.plenum, coefficients=self._throttled(throttle))
-
-        def rate(x: FloatArray) -> FloatArray:
-            lagging = (float(branch(x[:1])[0]) - x[1]) / self.lag.time_constant_s
-            return np.array([duct.rate(x[None])[0], lagging, plenum.rate(x[None])[0]])
-
+        rate = partial(self._rate(branch, throttle), 0.0)
         for phi in np.linspace(self.measured_cycles.highest[0], 0.0, 12):
             psi_p = float(branch(np.array([phi]))[0])
             found = root(rate, np.array([phi, psi_p, psi_p]))
@@ -205,9 +205,16 @@ class SurgeLoop:
             open_, shut = (middle, shut) if steady(middle) else (open_, middle)
         return float(open_), self.operating_point(float(open_))[0]
 
-    def _throttled(self, throttle: float) -> FloatArray:
-        through = self.plenum.exponents[:, 3] > 0
-        return np.asarray(np.where(through, throttle, 1.0) * self.plenum.coefficients)
+    def _rate(self, branch: Branch, throttle: float) -> _Rate:
+        """Return d(φ, ψ', Ψ)/dt of a state on one branch."""
+        opening = np.where(self.plenum.exponents[:, 3] > 0, throttle, 1.0)
+        plenum = replace(self.plenum, coefficients=opening * self.plenum.coefficients)
+
+        def rate(_: float, x: FloatArray) -> FloatArray:
+            lagging = (float(branch(x[:1])[0]) - x[1]) / self.lag.time_constant_s
+            return np.array([self.duct.rate(x[None])[0], lagging, plenum.rate(x[None])[0]])
+
+        return rate
 
 
 def discover_loop(
@@ -347,54 +354,18 @@ def _difference(measured: Cycles, simulated: Cycles) -> float:
     return float(max(off.max(), abs(simulated.period_s / measured.period_s - 1)))
 
 
-@njit(cache=True)
-def _balance(x: FloatArray, exponents: IntArray, coefficients: FloatArray) -> float:
-    root = np.copysign(np.sqrt(abs(x[2])), x[2])
-    total = 0.0
-    for i in range(coefficients.size):
-        e = exponents[i]
-        total += coefficients[i] * x[0] ** e[0] * x[1] ** e[1] * x[2] ** e[2] * root ** e[3]
-    return total
+def _lost(_: float, x: FloatArray) -> float:
+    return float(1e3 - np.max(np.abs(x)))
 
 
-@njit(cache=True)
-def _run(
-    x: FloatArray,
-    n: int,
-    dt: float,
-    lag: tuple[FloatArray, FloatArray, FloatArray, float],
-    duct: tuple[IntArray, FloatArray],
-    plenum: tuple[IntArray, FloatArray],
-) -> FloatArray:
-    """Integrate by Runge-Kutta steps of fourth order; φ crossing a level changes the branch.
+_lost.terminal = True  # type: ignore[attr-defined]
 
-    The lag is its curves, kinks, levels and τ; duct and plenum are exponents and coefficients.
-    """
-    curves, kinks, levels, tau_s = lag
-    out = np.full((n, 3), np.nan)
-    x = x.copy()
-    k = np.zeros((4, 3))
-    at = (0.0, 0.5, 0.5, 1.0)
-    stalled = x[0] < 0.5 * (levels[0] + levels[1])
-    for row in range(n):
-        out[row] = x
-        for _ in range(_SUBSTEPS):
-            curve, kink = (curves[0], kinks[0]) if stalled else (curves[1], kinks[1])
-            for i in range(4):
-                y = x if i == 0 else x + at[i] * dt * k[i - 1]
-                beyond = max(y[0] - kink[0], 0.0)
-                target = (kink[1] + kink[2] * beyond) * beyond
-                for power in range(curve.size):
-                    target += curve[power] * y[0] ** power
-                k[i, 0] = _balance(y, duct[0], duct[1])
-                k[i, 1] = (target - y[1]) / tau_s
-                k[i, 2] = _balance(y, plenum[0], plenum[1])
-            before = x[0]
-            x = x + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
-            if not np.all(np.abs(x) < 1e3):
-                return out
-            if stalled and before < levels[0] <= x[0]:
-                stalled = False
-            elif not stalled and before > levels[1] >= x[0]:
-                stalled = True
-    return out
+
+def _beyond(level: float, direction: float) -> Callable[[float, FloatArray], float]:
+    """Return the event of φ crossing a level upwards (1) or downwards (-1)."""
+
+    def beyond(_: float, x: FloatArray) -> float:
+        return float(x[0] - level)
+
+    beyond.terminal, beyond.direction = True, direction  # type: ignore[attr-defined]
+    return beyond
