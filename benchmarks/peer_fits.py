@@ -2,8 +2,8 @@
 
     python benchmarks/peer_fits.py NAME RECORDS.npz RESULTS.json CAP_S
 
-Each function takes φ and ψ' of shape (n,) and returns (τ in seconds, β0, β1, β2). The packages are
-imported inside: a peer's process runs in the environment of `requirements-peers.txt`.
+Each function takes φ and ψ' of shape (n,) and returns τ in seconds. The packages are imported
+inside: a peer's process runs in the environment of `requirements-peers.txt`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,31 +29,20 @@ WARM_UP_ROWS = 500
 LARGEST_C = 0.999
 
 
-def lag_parameters(a: float, b: Sequence[float]) -> list[float]:
-    """Return (τ in seconds, β...) of y[k+1] = a y[k] + Σ b_i s_i[k] (paper, Eq 10, 11)."""
-    tau_s = -PERIOD_S / np.log(a) if 0.0 < a < 1.0 else float("nan")
-    return [float(tau_s), *(float(value / (1.0 - a)) for value in b)]
+def tau_of(a: float) -> float:
+    """Return τ in seconds of the pole of y[k+1] = a y[k] + … (paper, Eq 10)."""
+    return -PERIOD_S / np.log(a) if 0.0 < a < 1.0 else float("nan")
 
 
-def with_level(y: FloatArray, terms: FloatArray, parameters: Sequence[float]) -> list[float]:
-    """Put β0 in by the means, for a peer that takes no constant or doubles it."""
-    tau_s, *beta = parameters
-    level = y[1:].mean() - terms[:-1].mean(axis=0) @ np.asarray(beta)
-    # In the mean y[k] - a y[k-1] = (1 - a) y up to what the two ends of the record differ by.
-    a = np.exp(-PERIOD_S / tau_s)
-    level += a / (1.0 - a) * (y[-1] - y[0]) / (y.size - 1)
-    return [tau_s, float(level), *beta]
-
-
-def fit_own(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_own(phi: FloatArray, y: FloatArray) -> float:
     """LagRegressor, standard errors included."""
     from classic_ml import LagRegressor
 
     model = LagRegressor(sample_period_s=PERIOD_S, noise="armax").fit(phi[:, None], y)
-    return [model.time_constant_s_, *model.coef_]
+    return model.time_constant_s_
 
 
-def fit_scipy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_scipy(phi: FloatArray, y: FloatArray) -> float:
     """Least squares over the prediction errors, as one would write it by hand."""
     columns = np.column_stack([y, np.ones_like(phi), phi, phi**2])[:-1]
     target = y[1:]
@@ -72,10 +61,10 @@ def fit_scipy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
         ftol=1e-12,
         gtol=1e-12,
     )
-    return lag_parameters(float(found.x[0]), found.x[1:4].tolist())
+    return tau_of(found.x[0])
 
 
-def fit_sysidentpy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_sysidentpy(phi: FloatArray, y: FloatArray) -> float:
     """NARMAX with a polynomial basis of first degree in φ and φ²: extended least squares."""
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
@@ -94,12 +83,11 @@ def fit_sysidentpy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
     )
     model.fit(X=terms, y=y[:, None])
     found = dict(zip(np.ravel(model.final_model).tolist(), np.ravel(model.theta), strict=True))
-    # Its codes: 1001 is y(k-1), 2001 and 3001 are the inputs at k-1. Its own constant is split
-    # between two equal columns, so that half of it is dropped.
-    return with_level(y, terms, lag_parameters(float(found[1001]), [found[2001], found[3001]]))
+    # Its code of y(k-1).
+    return tau_of(found[1001])
 
 
-def fit_sippy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_sippy(phi: FloatArray, y: FloatArray) -> float:
     """SIPPY's default ARMAX: iterated linear least squares, on centred data."""
     from sippy_unipi import system_identification
 
@@ -114,11 +102,10 @@ def fit_sippy(phi: FloatArray, y: FloatArray) -> Sequence[float]:
         tsample=PERIOD_S,
         max_iterations=200,
     )
-    b = [numerator[0] for numerator in model.NUMERATOR[0]]
-    return with_level(y, terms, lag_parameters(-model.DENOMINATOR[0][0][1], b))
+    return tau_of(-model.DENOMINATOR[0][0][1])
 
 
-def fit_statsmodels(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_statsmodels(phi: FloatArray, y: FloatArray) -> float:
     """SARIMAX: exact Gaussian likelihood of a regression with moving-average errors."""
     from statsmodels.tsa.statespace.sarimax import SARIMAX
 
@@ -128,12 +115,10 @@ def fit_statsmodels(phi: FloatArray, y: FloatArray) -> Sequence[float]:
     exog = np.column_stack([(columns - mean) / scale, np.ones(y.size - 1)])
     target = (y[1:] - mean[0]) / scale[0]
     result = SARIMAX(target, exog=exog, order=(0, 0, 1)).fit(disp=False, maxiter=200)
-    slopes = result.params[:3] * scale[0] / scale
-    constant = mean[0] + scale[0] * result.params[3] - slopes @ mean
-    return lag_parameters(float(slopes[0]), [constant, slopes[1], slopes[2]])
+    return tau_of(result.params[0])
 
 
-def fit_jax_sysid(phi: FloatArray, y: FloatArray) -> Sequence[float]:
+def fit_jax_sysid(phi: FloatArray, y: FloatArray) -> float:
     """jax-sysid: simulation error of the ARMAX predictor written as a linear system.
 
     The prediction p[k+1] = -c p[k] + (a + c) y[k] + Σ b_i s_i[k] is a state of its own.
@@ -142,8 +127,7 @@ def fit_jax_sysid(phi: FloatArray, y: FloatArray) -> Sequence[float]:
 
     terms = np.column_stack([phi, phi**2])
     columns = np.column_stack([y, terms])
-    scale = columns.std(axis=0)
-    inputs = (columns - columns.mean(axis=0)) / scale
+    inputs = (columns - columns.mean(axis=0)) / columns.std(axis=0)
     target = inputs[:, :1]
     arx = np.linalg.lstsq(inputs[:-1], target[1:, 0])[0]
     model = LinearModel(
@@ -154,11 +138,10 @@ def fit_jax_sysid(phi: FloatArray, y: FloatArray) -> Sequence[float]:
     model.optimization(adam_epochs=0, lbfgs_epochs=2000, iprint=-1, lbfgs_tol=1e-16)
     model.fit(target, inputs)
     minus_c, gains = float(model.params[0][0, 0]), model.params[1][0]
-    b = gains[1:] * scale[0] / scale[1:]
-    return with_level(y, terms, lag_parameters(float(gains[0]) + minus_c, b.tolist()))
+    return tau_of(float(gains[0]) + minus_c)
 
 
-FITS: dict[str, Callable[[FloatArray, FloatArray], Sequence[float]]] = {
+FITS: dict[str, Callable[[FloatArray, FloatArray], float]] = {
     "LagRegressor": fit_own,
     "scipy least_squares": fit_scipy,
     "sysidentpy ELS": fit_sysidentpy,
@@ -168,16 +151,16 @@ FITS: dict[str, Callable[[FloatArray, FloatArray], Sequence[float]]] = {
 }
 
 
-def attempt(name: str, phi: FloatArray, y: FloatArray) -> tuple[list[float], float]:
-    """Return parameters (empty where the fit failed) and processor seconds of one fit."""
+def attempt(name: str, phi: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return τ (nan where the fit failed) and processor seconds of one fit."""
     begun = time.process_time()
     try:
         # SystemExit: there are libraries that leave by sys.exit for a bad argument.
         with contextlib.redirect_stdout(io.StringIO()):
-            found = [float(value) for value in FITS[name](phi, y)]
+            found = float(FITS[name](phi, y))
     except (Exception, SystemExit):
-        found = []
-    return found if np.all(np.isfinite(found)) else [], time.process_time() - begun
+        found = float("nan")
+    return found, time.process_time() - begun
 
 
 def main() -> None:

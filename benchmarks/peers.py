@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from lag_problem import FloatArray, Problem
-from scipy.stats import sem
+from lag_problem import MOVING_AVERAGE, TAU_S, FloatArray, simulate
+from scipy.stats import sem, trim_mean
 
 HERE = Path(__file__).resolve().parent
 BLOCKS = ("ml", "sparse", "diagnosis", "reduction")
@@ -73,9 +73,7 @@ def middle_half(values: FloatArray) -> float:
     A median alone moves in steps where the kernel counts CPU time in ticks, and a mean alone
     follows the few fits beside which something else ran.
     """
-    quarter = values.size // 4
-    kept = np.sort(values)[quarter : values.size - quarter]
-    return float(kept.mean()) if kept.size else float("nan")
+    return float(trim_mean(values, 0.25)) if values.size else float("nan")
 
 
 def percent(holds: Any) -> float:
@@ -86,9 +84,10 @@ def percent(holds: Any) -> float:
 def ml_rows(options: argparse.Namespace) -> list[Row]:
     """Fit ARMAX records of `lag_problem.py` with C = 1 - 0.6 q⁻¹ by each package."""
     lengths = {500: 3} if options.quick else {2_000: 36, 20_000: 16, 200_000: 8}
-    problem, rows = Problem("armax", -0.6), []
+    rows = []
     for n_samples, n_records in lengths.items():
-        records = [problem.record(n_samples, seed) for seed in range(options.seeds or n_records)]
+        seeds = range(options.seeds or n_records)
+        records = [simulate(n_samples, seed, MOVING_AVERAGE) for seed in seeds]
         bounds = [record.bound() for record in records]
         bound, one_step = (np.array([pair[i][0] for pair in bounds]) for i in (0, 1))
         own_s = np.nan
@@ -97,13 +96,13 @@ def ml_rows(options: argparse.Namespace) -> list[Row]:
             if not found.size:
                 continue
             own_s = middle_half(seconds) if name == OWN_FIT else own_s
-            error = found - problem.truth[0]
+            error = found - TAU_S
             known = np.flatnonzero(np.isfinite(error))
             got, se = efficiency((error / bound[: error.size])[known], (one_step / bound)[known])
             rows.append({
                 "what": f"{name}, N = {n_samples}",
                 "n": known.size,
-                "tau_error_percent": 100.0 * rms(error) / problem.truth[0],
+                "tau_error_percent": 100.0 * rms(error) / TAU_S,
                 "over_bound": rms(error / bound[: error.size]),
                 "efficiency": got,
                 "efficiency_stderr": se,
@@ -130,8 +129,8 @@ def _fitted_by(
         command = [python, str(HERE / "peer_fits.py"), name, str(file), str(out), "45"]
         subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False, timeout=600)
         rows = json.loads(out.read_text()) if out.is_file() else []
-    taus = np.array([row[0][0] if row[0] else np.nan for row in rows])
-    return taus, np.array([row[1] for row in rows])
+    taus, seconds = np.array(rows, dtype=np.float64).reshape(-1, 2).T
+    return taus, seconds
 
 
 def sparse_rows(options: argparse.Namespace) -> list[Row]:

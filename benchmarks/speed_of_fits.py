@@ -13,30 +13,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
+from lag_problem import MOVING_AVERAGE, PERIOD_S, simulate
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from classic_ml import LagRegressor
 
-PERIOD_S = 1e-3
-TAU_S = 0.018
 START_S = 0.03
-BETA = (0.30, 1.20, -1.50)
 ROWS = {2_000: 15, 20_000: 7, 1_000_000: 2}
 N_BLOCKS = 20
-
-
-def record(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make n rows of φ and ψ' with white noise in the equation and a moving average of -0.6."""
-    rng = np.random.default_rng(0)
-    t = np.arange(n) * PERIOD_S
-    wander = lfilter([0.03], [1.0, -0.97], rng.standard_normal(n))
-    phi = 0.3 + 0.15 * np.sin(2 * np.pi * 1.2 * t) + 0.6 * wander
-    a = np.exp(-PERIOD_S / TAU_S)
-    f = np.polynomial.polynomial.polyval(phi, BETA)
-    e = 0.002 * rng.standard_normal(n + 1)
-    y = lfilter([0.0, 1.0 - a], [1.0, -a], f) + lfilter([1.0], [1.0, -a], e[1:] - 0.6 * e[:-1])
-    return phi, np.asarray(y)
 
 
 def columns(
@@ -98,7 +83,8 @@ def main() -> None:
     """Print the table."""
     rows = []
     for noise, (n, repeats) in itertools.product(("arx", "armax", "output-error"), ROWS.items()):
-        phi, y = record(n)
+        made = simulate(n, 0, MOVING_AVERAGE)
+        phi, y = made.phi, made.y
         model = LagRegressor(PERIOD_S, noise=noise).fit(phi[:2000, None], y[:2000])
         plain_s = seconds(lambda p=phi, y=y, k=noise: by_scipy(p, y, k), repeats)
         own_s = seconds(lambda m=model, p=phi, y=y: m.fit(p[:, None], y), repeats)
