@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.optimize.elementwise import find_root
 
 from comparisons.rig.coefficient_effects import FORMS, Parameters
 from comparisons.rig.coefficient_plant import LEAD_TIME_CONSTANTS, Plant, Points
@@ -21,7 +22,6 @@ Planted = Mapping[str, Parameters]
 # Below this h/τ the recurrence of the weights cancels; the series has converged to 1e-17 there.
 _SERIES_BELOW = 0.5
 _SERIES_TERMS = 14
-_ROOT_STEPS = 4
 
 
 def run_record(
@@ -101,21 +101,11 @@ def lay_steps(
 def _crossings(
     function: Callable[[FloatArray], FloatArray], time_s: FloatArray, level: float
 ) -> FloatArray:
-    """Return where a function of time crosses a level, by secants from the brackets."""
+    """Return where a function of time crosses a level, between two of the times given."""
     values = function(time_s) - level
     at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
-    low, high = time_s[at].copy(), time_s[at + 1].copy()
-    f_low, f_high = values[at].copy(), values[at + 1].copy()
-    root = low
-    for _ in range(_ROOT_STEPS):
-        root = low - f_low * (high - low) / (f_high - f_low)
-        # Where it is met exactly nothing is left to bracket; a hair beside it will do.
-        f_root = function(root) - level
-        f_root = np.where(f_root == 0.0, np.finfo(np.float64).tiny, f_root)
-        left = f_root * f_low > 0.0
-        low, f_low = np.where(left, root, low), np.where(left, f_root, f_low)
-        high, f_high = np.where(left, high, root), np.where(left, f_high, f_root)
-    return root
+    found = find_root(lambda t: function(t) - level, (time_s[at], time_s[at + 1]))
+    return np.asarray(found.x)
 
 
 def _lagged(at: Points, step_s: FloatArray, curve: FloatArray, planted: Planted) -> FloatArray:
