@@ -7,16 +7,17 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from classic_ml.io.series import read_series
+from classic_ml.series import CoefficientSeries
+from comparisons.harness.rows import check_once
 from comparisons.page.blocks import Part
 from comparisons.page.html import render_page
+from comparisons.results import Answer
+from comparisons.show.figures import write_figures
 from surge_core.files import to_strict_json, write_whole
 from surge_core.progress import shown_over
-
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from comparisons.results import Answer
 
 Pages = Sequence[tuple[str, Sequence[Part]]]
 
@@ -36,9 +37,6 @@ LABELS = {
 
 def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
     """Read series files, each once: a record that is held out must not be fitted too."""
-    from classic_ml.io.series import read_series
-    from comparisons.harness.rows import check_once
-
     records = [read_series(path) for path in paths]
     check_once(records)
     return records
@@ -67,8 +65,6 @@ def take_away(folder: Path | None, pages: Pages, answer: Answer) -> list[str]:
     """Write what a page shows as files where that was asked for, and return a line on it."""
     if folder is None:
         return []
-    from comparisons.show.figures import write_figures
-
     n = write_figures(pages, folder, answer.curve)
     return [f"figures and tables: {folder} ({n} files)"]
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from comparisons.page import style
 from surge_core.display import Grid
 
 if TYPE_CHECKING:
@@ -71,9 +72,7 @@ class Picture:
     @property
     def uri(self) -> str:
         """The image as a data URI; drawn each time it is asked for."""
-        from comparisons.page.style import figure_to_data_uri
-
-        return figure_to_data_uri(self.figure)
+        return style.figure_to_data_uri(self.figure)
 
 
 @dataclass(frozen=True)

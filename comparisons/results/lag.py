@@ -9,6 +9,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+from scipy.stats import norm, t
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results.names import SYMBOLS
@@ -162,8 +164,6 @@ class FittedLag:
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval."""
-        from scipy.stats import norm, t
-
         # A variance from few blocks is itself uncertain.
         n = self.n_blocks
         return float(t.isf(0.025, n - 1) if n > 1 else norm.isf(0.025))
@@ -298,8 +298,6 @@ class FittedLag:
 
 def _joint_covariance(estimator: Any) -> tuple[float, ...]:
     """Return the covariance of τ and the coefficients, uncorrelated where it is not said."""
-    from scipy.linalg import block_diag
-
     joint = getattr(estimator, "parameter_covariance_", None)
     if joint is None:
         stderr_s = float(estimator.time_constant_stderr_s_)

@@ -21,6 +21,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from comparisons.rig import plant_kernel as kernel
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import (
     CP_J_KG_K,
@@ -54,11 +55,9 @@ def run_plant(
     The signals have `n_rows` at `PLANT_RATE_HZ`, each of so many Runge-Kutta steps. A case without
     an equilibrium, or one that does not stay finite, is refused.
     """
-    from comparisons.rig import plant_kernel
-
     constants, start = _equilibrium(case, altered)
     try:
-        rows = plant_kernel.integrate(constants, start, n_rows, 1.0 / PLANT_RATE_HZ, substeps)
+        rows = kernel.integrate(constants, start, n_rows, 1.0 / PLANT_RATE_HZ, substeps)
     except ZeroDivisionError:
         # A pressure or a mass came to nought.
         rows = np.full((1, 1), np.nan)
@@ -70,7 +69,7 @@ def run_plant(
             remedy="change its parameters by a few percent only",
         )
     columns = np.ascontiguousarray(rows.T)
-    signals: dict[str, FloatArray] = dict(zip(plant_kernel.OUTPUTS, columns, strict=True))
+    signals: dict[str, FloatArray] = dict(zip(kernel.OUTPUTS, columns, strict=True))
     return signals | {"T31": _exit_temperature_k(case, signals)}
 
 
@@ -100,8 +99,6 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
     Flow, orifices and supply are sized by that state. Nothing that can be hidden moves it: it is
     cold, at full speed and unstalled.
     """
-    from comparisons.rig import plant_kernel as kernel
-
     u, t25, face_pa = case.rotor_velocity_m_s, case.supply_temperature_k, case.face_pressure_pa
     phi = case.stall_point(case.corrected_speed_frac)[0] * case.near_stall_phi_ratio
     # C_z = M sqrt(gamma R T / (1 + 0.2 M²)) solved for M.

@@ -1,7 +1,6 @@
 """Compiled loop of the plant: right-hand side, stall logic and fixed-step integration.
 
-Imported only when a simulation runs, because it pulls in numba. `comparisons.rig.plant` explains
-the model and its equations.
+`comparisons.rig.plant` explains the model and its equations.
 """
 
 from __future__ import annotations

@@ -17,8 +17,6 @@ total pressure is multiplied by Π at any Mach number; in unsteady flow the gas 
 adds its inertia. Reversed flow meets the blading as a screen besides, k ρ u²/2L without a lag, and
 the second part of q is its metal, which cools what runs backwards.
 `comparisons.rig_distributed.machine` has the equations of ψ' and of the cell.
-
-Imported only when a simulation runs, because it pulls in numba.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from comparisons.rig_distributed.euler import OUTPUTS, Constants, integrate
 from comparisons.rig_distributed.gas import CP, GAMMA, R
 from comparisons.rig_distributed.machine import Machine
 from surge_core.errors import InputError
@@ -139,8 +140,6 @@ def steady_flow(machine: Machine, path: GasPath) -> tuple[FloatArray, FloatArray
 
 def constants(machine: Machine, path: GasPath, throttle_m2: float, exit_k: float) -> Any:
     """Gather the numbers of the compiled loop, the last two as of :func:`steady_flow`."""
-    from comparisons.rig_distributed.euler import Constants
-
     same = {n: float(getattr(machine, n)) for n in Constants._fields if hasattr(machine, n)}
     return Constants(
         **same,
@@ -162,8 +161,6 @@ def run_plant(machine: Machine, *, n_rows: int, cell_m: float = CELL_M) -> Plant
     The time step shrinks with the cells. A machine without a steady flow to start from, or whose
     flow does not stay finite, is refused.
     """
-    from comparisons.rig_distributed.euler import OUTPUTS, integrate
-
     path = lay_out(machine, cell_m)
     cells, own, throttle_m2, exit_k = steady_flow(machine, path)
     numbers = constants(machine, path, throttle_m2, exit_k)

@@ -11,14 +11,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import friedmanchisquare, studentized_range
 
 from comparisons.harness.methods import method_name, named_methods
+from comparisons.page.style import ACCENT, INK, panel
 from comparisons.study.rigs import draw_of, rig_names
 from comparisons.study.spec import BUILT_IN, StudySpec, spec_from
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 # A τ is right within 2 ms or 10 %, grossly wrong beyond 30 % with an interval that misses, and a
@@ -181,8 +182,6 @@ def draw_ranks(ranks: dict[str, Any]) -> Figure:
     ranks : dict
         As of `ranks_of`.
     """
-    from comparisons.page.style import ACCENT, INK, panel
-
     words = "mean rank by |error of τ|; bar: critical difference (Nemenyi, 5 %)"
     figure, ax = panel(words, "", 1.2 + 0.35 * len(ranks["methods"]))
     ax.xaxis.label.set_fontsize(9)

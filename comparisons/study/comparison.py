@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 from scipy.stats import t as student_t
@@ -23,9 +24,6 @@ from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.rounding import round_like, round_to_error
 from surge_core.types import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
 FAILED, ENDED_WELL = "failed", ("ok", "converged")
@@ -274,8 +272,6 @@ def jackknife(
 
 def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
     """Return the results with the score, and numbers of what methods share and of the record."""
-    import pandas as pd
-
     values = pd.to_numeric(table[score.name], errors="coerce").astype(float)
     # A failed cell has no score, nor has a simulation that ran off to infinity.
     values = values.where((table["state"] != FAILED) & np.isfinite(values))

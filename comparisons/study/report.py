@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from comparisons.page.blocks import Bullets, Part, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import compare_methods
 from comparisons.study.spec import StudySpec
 from surge_core.display import Grid
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Groups of one score and reasons that are shown; the table has all.
 MOST_GROUPS, MOST_REASONS = 24, 40

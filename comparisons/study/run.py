@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from joblib import Parallel, delayed, parallel_config
 
 from classic_ml.series import CoefficientSeries
@@ -24,9 +25,6 @@ from comparisons.study.spec import Method, StudySpec
 from surge_core.errors import InputError
 from surge_core.files import replace_whole, write_whole
 from surge_core.threads import one_thread
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RESULTS, FINISHED = "results.parquet", "cells.jsonl"
 # Workers of a cluster to reckon with: their number may change while it works.
@@ -254,8 +252,6 @@ def _scores(
 
 def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
     """Return the table, one row a cell, in the order of the design."""
-    import pandas as pd
-
     rows = [
         {
             "cell": cell.number,

@@ -9,23 +9,26 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from classic_ml.description import TestDescription
+from classic_ml.io import read_raw
 from classic_ml.io.series import read_series
+from classic_ml.records import Record
+from classic_ml.reduction import reduce_record
+from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.series import CoefficientSeries
+from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 from comparisons.study.design import Point
+from comparisons.study.rigs import draw_of
 from comparisons.study.spec import Scalar
 from surge_core.errors import InputError
 from surge_core.models import read_toml
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from classic_ml.description import TestDescription
-    from classic_ml.records import Record
-    from comparisons.rig.coefficient_tests import CoefficientTest
 
 FIT_DEFAULTS: dict[str, Scalar] = {"degree": 2, "hold": "first"}
 
@@ -58,9 +61,6 @@ def make_record(point: Point) -> Made:
 def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
     """Reduce the record of a point, where it is counts."""
     if made.raw is not None:
-        from classic_ml.reduction import reduce_record
-        from classic_ml.reduction_settings import ReductionSettings
-
         settings = ReductionSettings(**point.table("reduction"))  # type: ignore[arg-type]
         return (reduce_record(*made.raw, settings).series,)
     if point.table("reduction"):
@@ -79,8 +79,6 @@ def _coefficients(
     hide: str | None = None,
     **settings: Any,
 ) -> Made:
-    from comparisons.rig.coefficient_tests import simulate_test
-
     test = simulate_test(
         hide,
         seed=seed,
@@ -111,8 +109,6 @@ def series_of(test: CoefficientTest) -> tuple[CoefficientSeries, ...]:
 
 def _through_files(write: Callable[[Path], object]) -> tuple[Any, dict[str, Any]]:
     """Return a raw record as a user's comes, nothing but counts and description, and its truth."""
-    from classic_ml.io import read_raw
-
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "record"
         write(kept)
@@ -125,8 +121,6 @@ def _through_files(write: Callable[[Path], object]) -> tuple[Any, dict[str, Any]
 def _rig(
     seed: int, *, case: str = "985", noise_percent: float | None = None, **settings: Any
 ) -> Made:
-    from comparisons.rig import CASES, SensorSettings, simulate, write_run
-
     sensors = SensorSettings()
     if noise_percent is not None:
         sensors = replace(sensors, noise_percent=noise_percent, reading_noise_percent=noise_percent)
@@ -137,8 +131,6 @@ def _rig(
 
 
 def _machine(seed: int, *, rig: str) -> Made:
-    from comparisons.study.rigs import draw_of
-
     raw, truth = _through_files(partial(draw_of(rig), seed))
     table, beta = truth.get("quasi_steady"), truth.get("beta", ())
     curve: Callable[[FloatArray], Any] | None = None
@@ -158,8 +150,6 @@ def _machine(seed: int, *, rig: str) -> Made:
 
 
 def _files(_: int, *, path: str) -> Made:
-    from classic_ml.io import read_raw
-
     place = Path(path)
     if place.is_dir():
         return Made((), read_raw(place / "raw.csv", place / "test.toml"), math.nan)
