@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from comparisons.results import FitScore
 from surge_core.types import BoolArray, FloatArray
@@ -57,7 +58,5 @@ def trusted_range(phi: FloatArray) -> tuple[float, float]:
 
 def dwelt_on(grid: FloatArray, phi: FloatArray) -> BoolArray:
     """Return where on a grid there are rows nearby, within 2 % of the range of their φ."""
-    known = np.sort(phi)
-    after = np.clip(np.searchsorted(known, grid), 1, known.size - 1)
-    nearest = np.minimum(np.abs(grid - known[after - 1]), np.abs(grid - known[after]))
+    nearest, _ = KDTree(phi[:, None]).query(grid[:, None])
     return np.asarray(nearest <= NEARBY_SHARE * float(np.ptp(phi)))

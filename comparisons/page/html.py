@@ -6,7 +6,6 @@ import base64
 import hashlib
 import platform
 from collections.abc import Callable, Iterable, Sequence
-from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from importlib.resources import files
 from typing import Any
@@ -95,13 +94,8 @@ def render_page(
 
 
 def _versions() -> Grid:
-    rows = [("Python", platform.python_version())]
-    for name in PACKAGES:
-        try:
-            rows.append((name, version_of(name)))
-        except PackageNotFoundError:
-            rows.append((name, "not installed"))
-    return Grid("Versions", ("package", "version"), tuple(rows), frozenset({0, 1}))
+    rows = (("Python", platform.python_version()), *((n, version_of(n)) for n in PACKAGES))
+    return Grid("Versions", ("package", "version"), rows, frozenset({0, 1}))
 
 
 def _table_style(grid: Grid) -> str:

@@ -32,8 +32,8 @@ from comparisons.results import FitRows, FitScore, FittedLag
 from comparisons.rig import CASES, simulate
 from comparisons.rig.drawn import SHAPES, shaped
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
-from surge_core.segments import runs_of
-from surge_core.types import BoolArray, FloatArray
+from surge_core.segments import intervals_where
+from surge_core.types import FloatArray, IntArray
 
 MAIN, SLOW = "985", "90"
 FASTER = ("95", "985", "985-second")
@@ -89,11 +89,11 @@ def regimes(runs: Instabilities) -> Findings:
     """Check which thresholds split the cycles into the two regimes."""
     run = runs[MAIN]
     flow = run.paper.record["Wc25_kg_s"] / LBM_KG
-    stalls = _intervals((run.rig.truth["in_stall"] > 0.5) & run.window)
+    stalls = intervals_where((run.rig.truth["in_stall"] > 0.5) & run.window)
     split = [
         threshold
         for threshold in range(10, 91)
-        if _one_to_one(stalls, _intervals((flow < threshold) & run.window))
+        if _one_to_one(stalls, intervals_where((flow < threshold) & run.window))
     ]
     low, high = (min(split), max(split)) if split else (0, 0)
     used = run.paper.test.threshold_lbm_s == THRESHOLD_LBM_S
@@ -101,16 +101,11 @@ def regimes(runs: Instabilities) -> Findings:
     return {33: Finding(f"any of {low} to {high} lbm/s", holds, {"n": len(stalls)})}
 
 
-def _intervals(state: BoolArray) -> list[slice]:
-    return [run for run in runs_of(state, state.size) if state[run.start]]
-
-
-def _one_to_one(stalls: list[slice], found: list[slice]) -> bool:
+def _one_to_one(stalls: IntArray, found: IntArray) -> bool:
     """Whether each interval that was found holds the middle of exactly one stall."""
-    middles = [(s.start + s.stop - 1) // 2 for s in stalls]
-    return len(found) == len(stalls) and all(
-        sum(f.start <= m < f.stop for m in middles) == 1 for f in found
-    )
+    middles = (stalls.sum(axis=1) - 1) // 2
+    inside = (found[:, :1] <= middles) & (middles < found[:, 1:])
+    return len(found) == len(stalls) and bool(np.all(inside.sum(axis=1) == 1))
 
 
 def other_thresholds(runs: Instabilities) -> Findings:

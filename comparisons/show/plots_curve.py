@@ -13,7 +13,7 @@ from comparisons.page.blocks import Picture
 from comparisons.results import SYMBOLS, Comparison, Curve, EstimatorResult, TauTrial, Truth
 from comparisons.results.names import NAMES
 from surge_core.rounding import round_to_error, significant
-from surge_core.segments import runs_of
+from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -219,11 +219,8 @@ def _histogram_behind(ax: Axes, phi: FloatArray, valid_phi: tuple[float, float])
     ax.patch.set_visible(False)
     # A record can leave a hole in the range: there the curve rests on nothing.
     grid = np.linspace(*valid_phi, 400)
-    dwelt = dwelt_on(grid, phi)
-    for run in runs_of(dwelt, grid.size):
-        if dwelt[run.start]:
-            ends = float(grid[run.start]), float(grid[run.stop - 1])
-            behind.axvspan(*ends, color=style.SHADE, lw=0)
+    for start, stop in intervals_where(dwelt_on(grid, phi)):
+        behind.axvspan(grid[start], grid[stop - 1], color=style.SHADE, lw=0)
     # Entries of the legend for what lies on the axes behind.
     ax.fill([], [], color=style.SHADE, label=r"where $\varphi$ dwells (5th to 95th percentile)")
     ax.fill([], [], color=COLUMN, label=r"histogram of $\varphi$")
