@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.lag_regressor import LagRegressor
@@ -178,15 +179,44 @@ def _label(spec: EstimatorSpec, estimator: Any) -> str:
 
 
 def fitted_value(estimator: Any, name: str, rows: FitRows, hold: Hold) -> FittedLag:
-    """Take the numbers out of a fitted estimator of this name, its curve over the φ of the rows."""
+    """Take the numbers out of a fitted estimator of this name, its curve over the φ of the rows.
+
+    It has ``time_constant_s_``, ``time_constant_stderr_s_``, ``terms_``, ``coef_``, ``covariance_``
+    and ``characteristic(phi)``.
+    """
     grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
+    value, stderr = estimator.characteristic(grid)
     phi = rows.phi
     if isinstance(estimator, WholeRunFit):
         # It scores rows in forward flow alone: those in reversed flow, which the others fit, it
         # simulates through.
         trusted = estimator.trusted_phi
         phi = trusted if trusted.size else phi
-    return FittedLag.from_estimator(estimator, name, rows.target, hold, grid, trusted_range(phi))
+    return FittedLag(
+        name,
+        rows.target,
+        float(estimator.time_constant_s_),
+        float(estimator.time_constant_stderr_s_),
+        tuple(estimator.terms_),
+        tuple(float(b) for b in estimator.coef_),
+        tuple(float(s) for s in np.sqrt(np.maximum(np.diag(estimator.covariance_), 0.0))),
+        hold,
+        trusted_range(phi),
+        tuple(zip(grid.tolist(), value.tolist(), stderr.tolist(), strict=True)),
+        int(getattr(estimator, "n_blocks_", 0)),
+        float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
+        getattr(estimator, "ci95_s_", None),
+        _joint_covariance(estimator),
+    )
+
+
+def _joint_covariance(estimator: Any) -> tuple[float, ...]:
+    """Return the covariance of τ and the coefficients, uncorrelated where it is not said."""
+    joint = getattr(estimator, "parameter_covariance_", None)
+    if joint is None:
+        stderr_s = float(estimator.time_constant_stderr_s_)
+        joint = block_diag([[stderr_s**2]], np.asarray(estimator.covariance_))
+    return tuple(np.ravel(joint).tolist()) if np.all(np.isfinite(joint)) else ()
 
 
 def _one_step(

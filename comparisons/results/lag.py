@@ -9,7 +9,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 from scipy.stats import norm, t
 
 from classic_ml.series import CoefficientSeries
@@ -111,50 +110,6 @@ class FittedLag:
     covariance: tuple[float, ...] = ()
     rows: Literal["filtered", "unfiltered"] = "filtered"
     free_run_rms: float = math.nan
-
-    @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        name: str,
-        target: str,
-        hold: Hold,
-        phi: FloatArray,
-        valid_phi: tuple[float, float],
-    ) -> FittedLag:
-        """Take the numbers out of a fitted estimator.
-
-        Parameters
-        ----------
-        estimator : object
-            Fitted, with ``time_constant_s_``, ``time_constant_stderr_s_``, ``terms_``, ``coef_``,
-            ``covariance_`` and ``characteristic(phi)``.
-        name, target : str
-            How it is called and which coefficient it gives.
-        hold : {"zero", "first"}
-            The hold it was fitted with.
-        phi : ndarray of shape (n,)
-            Points at which its characteristic is kept.
-        valid_phi : tuple of float
-            Range of trust.
-        """
-        value, stderr = estimator.characteristic(phi)
-        return cls(
-            name,
-            target,
-            float(estimator.time_constant_s_),
-            float(estimator.time_constant_stderr_s_),
-            tuple(estimator.terms_),
-            tuple(float(b) for b in estimator.coef_),
-            tuple(float(s) for s in np.sqrt(np.maximum(np.diag(estimator.covariance_), 0.0))),
-            hold,
-            valid_phi,
-            tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
-            int(getattr(estimator, "n_blocks_", 0)),
-            float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
-            getattr(estimator, "ci95_s_", None),
-            _joint_covariance(estimator),
-        )
 
     @property
     def measured(self) -> bool:
@@ -294,12 +249,3 @@ class FittedLag:
             "rows": self.rows,
             "free_run_rms": self.free_run_rms,
         }
-
-
-def _joint_covariance(estimator: Any) -> tuple[float, ...]:
-    """Return the covariance of τ and the coefficients, uncorrelated where it is not said."""
-    joint = getattr(estimator, "parameter_covariance_", None)
-    if joint is None:
-        stderr_s = float(estimator.time_constant_stderr_s_)
-        joint = block_diag([[stderr_s**2]], np.asarray(estimator.covariance_))
-    return tuple(np.ravel(joint).tolist()) if np.all(np.isfinite(joint)) else ()

@@ -14,6 +14,7 @@ from comparison_data import fit_rows
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
+from comparisons.harness.compare import fitted_value
 from comparisons.harness.saved_models import load_models, save_models
 from comparisons.results import FittedLag
 from surge_core.errors import InputError
@@ -24,8 +25,7 @@ def fitted(hold: str = "first") -> tuple[LagRegressor, FittedLag, np.ndarray, np
     phi = flow(2000, rng)
     y = lagged(phi, hold) + 0.002 * rng.standard_normal(2000)
     m = LagRegressor(PERIOD_S, hold=hold).fit(phi[:, None], y)
-    grid = np.linspace(0.0, 0.6, 50)
-    return m, FittedLag.from_estimator(m, "classic_ml", "psi_p", hold, grid, (0.1, 0.5)), phi, y
+    return m, fitted_value(m, "classic_ml", fit_rows(phi, y), hold), phi, y
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
@@ -75,7 +75,7 @@ def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
         seen = flow(1500, rng)
         y = lagged(seen, "first") + 0.01 * rng.standard_normal(1500)
         m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(seen[:, None], y)
-        value = FittedLag.from_estimator(m, "x", "psi_p", "first", seen[:30], (0.1, 0.5))
+        value = fitted_value(m, "x", fit_rows(seen, y), "first")
         runs.append(value.free_run_over(rows, [])[100:])
         stderr.append(value.free_run_stderr(rows)[100:])
         inside.append(np.mean(np.abs(runs[-1] - truth[100:]) <= value.quantile * stderr[-1]))
@@ -90,10 +90,7 @@ def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
 def test_terms_without_a_known_name_run_from_the_table() -> None:
     m, value, phi, _ = fitted()
     anonymous = FittedLag(**{**value.__dict__, "terms": ("s1", "s2", "s3")})
-    inside = np.clip(phi, 0.0, 0.6)
-    np.testing.assert_allclose(
-        anonymous.quasi_steady(inside), m.characteristic(inside)[0], atol=1e-3
-    )
+    np.testing.assert_allclose(anonymous.quasi_steady(phi), m.characteristic(phi)[0], atol=1e-3)
 
 
 @pytest.mark.parametrize(
