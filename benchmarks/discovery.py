@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pysindy as ps
+import sympy
 from scipy.integrate import solve_ivp
 
 from sindy_surge import SparseDynamics
@@ -62,32 +63,27 @@ class System:
     pooled: bool = False
 
 
+def _root() -> Any:
+    """Return the root of each state."""
+    return ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"])
+
+
 def _with_root(state: int, n_states: int) -> Any:
     """Return polynomials to degree 3 and the root of one state."""
-    root = ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"])
-    parts = [ps.PolynomialLibrary(degree=3), root]
+    parts = [ps.PolynomialLibrary(degree=3), _root()]
     return ps.GeneralizedLibrary(parts, inputs_per_library=[list(range(n_states)), [state]])
 
 
 def _of(truth: dict[str, dict[str, float]], states: tuple[str, ...]) -> Callable[..., Any]:
     """Return dx/dt for equations of polynomial terms, sqrt(·), sin(·) and the input u."""
-
-    def value(term: str, x: Any, u: float) -> float:
-        named = {**dict(zip(states, x, strict=True)), "u": u, "1": 1.0}
-        result = 1.0
-        for factor in term.split():
-            base, _, power = factor.partition("^")
-            if base.startswith(("sqrt(", "sin(")):
-                kind, inner = base[:-1].split("(")
-                result *= np.sqrt(abs(named[inner])) if kind == "sqrt" else np.sin(named[inner])
-            else:
-                result *= named[base] ** int(power or 1)
-        return float(result)
-
-    def rate(t: float, x: Any, u: float) -> list[float]:
-        return [sum(c * value(n, x, u) for n, c in truth[s].items()) for s in states]
-
-    return rate
+    symbols = {name: sympy.Symbol(name) for name in (*states, "u")}
+    known = symbols | {"sqrt": lambda x: sympy.sqrt(sympy.Abs(x))}
+    rates = [
+        sum(c * sympy.sympify(n.replace("^", "**").replace(" ", "*"), known) for n, c in terms)
+        for terms in (truth[state].items() for state in states)
+    ]
+    compiled = sympy.lambdify(list(symbols.values()), rates)
+    return lambda t, x, u: compiled(*x, u)
 
 
 def _system(states: tuple[str, ...], truth: dict[str, dict[str, float]], **kind: Any) -> System:
@@ -189,12 +185,7 @@ SYSTEMS = {
         low=(0.5, 0.5, 0.5),
         high=(2, 2, 2),
         step_s=0.02,
-        library=lambda: (
-            ps.PolynomialLibrary(degree=2)
-            + ps.CustomLibrary(
-                [lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"]
-            )
-        ),
+        library=lambda: ps.PolynomialLibrary(degree=2) + _root(),
         force=lambda t: 0.8 + 0.4 * np.sin(0.7 * t),
     ),
     "pendulum": _system(
