@@ -397,7 +397,7 @@ class _Drill:
     def _accepted(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
         """Tell whether the effect alone is accepted, without rivals."""
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
-        metric = self.planter.source.noise.metric()
+        metric = self.planter.noise.metric()
         bench = Bench.start(
             data, fit.structure, metric, [fit.nonlinear], block_rows(data), len(self.catalogue)
         )

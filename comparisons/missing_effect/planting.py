@@ -33,75 +33,28 @@ LARGEST_ROOT = 0.995
 
 
 @dataclass(frozen=True)
-class NoiseSource:
-    """Noise as a fit's errors show it, drawn again for some rows.
-
-    ``white`` is what is new in each error, in units of the coefficient.
-    """
-
-    white: FloatArray
-    noise: NoiseModel
-    data: LagData
-
-    @classmethod
-    def of(cls, fit: Fit, noise: NoiseModel, data: LagData) -> NoiseSource:
-        """Take the errors of a fit to all rows apart into what is new in each and its colour."""
-        noise = over_rows(noise, fit, data)
-        metric = noise.metric()
-        white = metric.whitened(fit.errors(data, Metric()), data) * noise.innovation
-        kept = white[metric.rows(data) > 0.0]
-        return cls(kept - kept.mean(), noise, data)
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Return noise on the coefficient at every sample, of shape (n,).
-
-        What is new in each error is drawn in blocks from the fit's own, so that its tails and its
-        bursts are those of the record; then it is given the colour of the noise model.
-        """
-        from scipy.signal import lfilter
-
-        new, flow = self._resampled(rng, self.data.n_samples), self.noise.flow
-        out = np.empty_like(new)
-        if flow is not None:
-            # What noise on φ leaves behind the lag.
-            driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(new.size)
-            for run in self.data.slices:
-                out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
-            return new + out
-        if not self.noise.ar:
-            return new
-        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
-        for run in self.data.slices:
-            ahead = self._resampled(rng, BURN_IN_ROWS)
-            coloured = lfilter([1.0], feedback, np.concatenate([ahead, new[run]]))
-            out[run] = coloured[BURN_IN_ROWS:]
-        return out
-
-    def _resampled(self, rng: np.random.Generator, n: int) -> FloatArray:
-        size = min(BLOCK_ROWS, self.white.size)
-        first = rng.integers(0, self.white.size - size + 1, -(-n // size))
-        rows = (first[:, None] + np.arange(size)).ravel()[:n]
-        return np.asarray(self.white[rows])
-
-
-@dataclass(frozen=True)
 class Planter:
-    """A fitted model of a user's records, into which effects are planted.
+    """A fitted model of a user's records, into which effects are planted, and its noise.
 
-    The fit is to all rows, and what it holds stays in; ``sigma`` is the deviation of one error.
+    The fit is to all rows, and what it holds stays in; ``white`` is what is new in each of its
+    errors, in units of the coefficient.
     """
 
     fit: Fit
     data: LagData
-    source: NoiseSource
-    sigma: float
+    noise: NoiseModel
+    white: FloatArray
 
     @classmethod
     def of(cls, diagnosis: LagDiagnosis) -> Planter:
         """Return the planter of a diagnosis: its model after, its rows, its noise."""
-        data = with_own_state(diagnosis.data, diagnosis.after)
-        source = NoiseSource.of(diagnosis.after, diagnosis.noise, data)
-        return cls(diagnosis.after, data, source, diagnosis.noise.sigma)
+        fit = diagnosis.after
+        data = with_own_state(diagnosis.data, fit)
+        noise = over_rows(diagnosis.noise, fit, data)
+        metric = noise.metric()
+        white = metric.whitened(fit.errors(data, Metric()), data) * noise.innovation
+        kept = white[metric.rows(data) > 0.0]
+        return cls(fit, data, noise, kept - kept.mean())
 
     def shape(self, effect: Effect) -> FloatArray:
         """Return where an effect is planted: its searched parameters beside the amplitude."""
@@ -144,7 +97,38 @@ class Planter:
 
     def measured(self, clean: FloatArray, rng: np.random.Generator) -> LagData:
         """Return the rows with a coefficient that was measured with noise."""
-        return self.data.with_measured(clean + self.source.draw(rng))
+        return self.data.with_measured(clean + self.draw(rng))
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return noise on the coefficient at every sample, of shape (n,).
+
+        What is new in each error is drawn in blocks from the fit's own, so that its tails and its
+        bursts are those of the record; then it is given the colour of the noise model.
+        """
+        from scipy.signal import lfilter
+
+        new, flow = self._resampled(rng, self.data.n_samples), self.noise.flow
+        out = np.empty_like(new)
+        if flow is not None:
+            # What noise on φ leaves behind the lag.
+            driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(new.size)
+            for run in self.data.slices:
+                out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
+            return new + out
+        if not self.noise.ar:
+            return new
+        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
+        for run in self.data.slices:
+            ahead = self._resampled(rng, BURN_IN_ROWS)
+            coloured = lfilter([1.0], feedback, np.concatenate([ahead, new[run]]))
+            out[run] = coloured[BURN_IN_ROWS:]
+        return out
+
+    def _resampled(self, rng: np.random.Generator, n: int) -> FloatArray:
+        size = min(BLOCK_ROWS, self.white.size)
+        first = rng.integers(0, self.white.size - size + 1, -(-n // size))
+        rows = (first[:, None] + np.arange(size)).ravel()[:n]
+        return np.asarray(self.white[rows])
 
     def promise(self, clean: FloatArray) -> tuple[float, float]:
         """Return what an effect as planted leaves once the model without it is fitted again.
@@ -170,10 +154,8 @@ class Planter:
     def _probers(self) -> tuple[Prober, Prober]:
         """Score tests in the metric of the noise, and in units of its standard deviation."""
         train, rows = self.data.train, self.data.train_rows
-        # Of a ripple in the model only the episodes that are fitted have columns there.
-        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients)
-        metric = self.source.noise.metric().on(rows)
-        return Prober(fit, train, metric), Prober(fit, train, Metric(self.sigma))
+        plain = Metric(self.noise.sigma)
+        return Prober(self.fit, train, self.noise.metric().on(rows)), Prober(self.fit, train, plain)
 
     @property
     def _phi(self) -> FloatArray:

@@ -91,9 +91,8 @@ def test_the_excess_is_what_a_refit_leaves(name: str, planter: Planter) -> None:
     clean = planter.planted(effect, size, np.random.default_rng(0))
     _, excess = planter.promise(clean)
     train = planter.data.with_measured(clean).train
-    fit = fit_structure(
-        planter.fit.structure, train, Metric(planter.sigma), [planter.fit.nonlinear]
-    )
+    metric = Metric(planter.noise.sigma)
+    fit = fit_structure(planter.fit.structure, train, metric, [planter.fit.nonlinear])
     left = np.sqrt(2.0 * fit.cost / np.count_nonzero(train.weight))
     assert excess == pytest.approx(left, rel=0.05)
     assert excess == pytest.approx(0.3, rel=0.1)
@@ -110,15 +109,15 @@ def test_nothing_planted_is_the_fitted_model(planter: Planter) -> None:
 @pytest.mark.parametrize("noise", ["white", "ar1", "t3", "outliers"])
 def test_the_noise_that_is_drawn_is_like_that_of_the_records(noise: Noise) -> None:
     diagnosis = diagnose(records(noise, rows=1500), degree=3)
-    source = Planter.of(diagnosis).source
+    planter = Planter.of(diagnosis)
     own = diagnosis.after.errors(diagnosis.data, Metric())
-    drawn = source.draw(np.random.default_rng(0))
+    drawn = planter.draw(np.random.default_rng(0))
     assert drawn.std() == pytest.approx(own.std(), rel=0.15)
     memory = [float(np.corrcoef(e[1:], e[:-1])[0, 1]) for e in (drawn, own)]
     assert memory[0] == pytest.approx(memory[1], abs=0.06)
     heavy = [float(kurtosis(e)) for e in (drawn, own)]
     assert (heavy[0] > 2.0) == (heavy[1] > 2.0) == (noise in ("t3", "outliers"))
-    assert not np.array_equal(drawn, source.draw(np.random.default_rng(1)))
+    assert not np.array_equal(drawn, planter.draw(np.random.default_rng(1)))
 
 
 def test_an_effect_that_leaves_no_trace_has_no_limit() -> None:
