@@ -149,6 +149,9 @@ class WholeRuns(Bench):
     named: frozenset[str] = frozenset()
     log_tau: float = float("nan")
 
+    # By what is explained beyond a null, and by the alias set of the round that found it.
+    ranked, stand_ins = System.ranked, System.stand_ins
+
     def fitted(self, probe: Probe) -> Fit:
         """Fit the model with the effect of a probe, from several starts of τ."""
         log_tau, *others = self.fit.nonlinear
@@ -184,12 +187,6 @@ class WholeRuns(Bench):
 
     def without_needless(self, one: Effect) -> None:
         """Keep all that was found."""
-
-    def stand_ins(
-        self, one: Effect, step: LagRound | None, effects: Sequence[Effect]
-    ) -> tuple[LagCandidate, ...]:
-        """Return the alias set of the round that found it."""
-        return () if step is None else step.aliases
 
     @property
     def own_noise(self) -> NoiseModel:
@@ -240,10 +237,6 @@ class WholeRuns(Bench):
         )
         of_twins = null.share if null and np.isfinite(null.share) else 0.0
         return replace(candidate, evidence=evidence, rank=share - of_twins)
-
-    def ranked(self, candidates: Sequence[LagCandidate]) -> tuple[LagCandidate, ...]:
-        """Return what explains most beyond its null first."""
-        return System.ranked(self, candidates)
 
     def near(
         self, best: LagCandidate, others: Sequence[LagCandidate], tie: Tie
