@@ -59,8 +59,7 @@ def diagnosis_document(
         "remarks": list(d.remarks),
         **own,
         "missing": [
-            {**asdict(item), "doubts": list(d.doubts_of(item)), **more}
-            for item, more in zip(d.missing, own["missing"], strict=True)
+            {**asdict(item), **more} for item, more in zip(d.missing, own["missing"], strict=True)
         ],
         "gap": {**{name: getattr(d.gap, name) for name in GAP}, **own.get("gap", {})},
         "where": wheres[0].to_json() if wheres else {name: [] for name in PANELS},

@@ -78,7 +78,7 @@ class MissingEffect:
     alias_set : tuple of str
         The names that these data cannot separate, the first among them.
     provisional : bool
-        Whether the name stands for something that may be another.
+        Whether the name stands for something that may be another: whether there are doubts.
     parameters : tuple of FittedParameter
         Its numbers, from all fitted rows.
     evidence : mapping
@@ -415,10 +415,6 @@ class Diagnosis(Displayed):
     def parameter(self, name: str) -> ParameterRow:
         """Return a parameter of the model by name."""
         return next(row for row in self.parameters if row.name == name)
-
-    def doubts_of(self, item: MissingEffect) -> tuple[str, ...]:
-        """Return why the name of an effect is not firm; empty where it is."""
-        return item.doubts if item.provisional else ()
 
     def effect_grid(self) -> Grid:
         """Return a row for each number of what is missing."""

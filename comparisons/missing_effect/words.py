@@ -253,10 +253,9 @@ def _doubt_words(d: Diagnosis) -> str:
     why: dict[tuple[str, ...], list[str]] = {}
     for item in d.missing:
         if item.provisional:
-            why.setdefault(d.doubts_of(item), []).append(plain_name(item.label))
+            why.setdefault(item.doubts, []).append(plain_name(item.label))
     return " ".join(
-        f"{_listed(labels)} {'are' if len(labels) > 1 else 'is'} provisional: "
-        f"{'; '.join(doubts) or 'it may be another'}."
+        f"{_listed(labels)} {'are' if len(labels) > 1 else 'is'} provisional: {'; '.join(doubts)}."
         for doubts, labels in why.items()
     )
 
