@@ -125,11 +125,11 @@ def _base(
     from comparisons.missing_effect.base_terms import discovered_terms
 
     begin("discovering terms")
-    found = discovered_terms(records)
-    names = ", ".join(found.dropped)
+    terms, dropped = discovered_terms(records)
+    names = ", ".join(dropped)
     words = f"Left out of the base, since their form is not known here: {names}."
-    base = {"source": "sindy", "dropped": list(found.dropped)}
-    return found.terms, base, [words] if names else []
+    base = {"source": "sindy", "dropped": dropped}
+    return terms, base, [words] if names else []
 
 
 def _asked_beyond(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,18 +14,11 @@ from comparisons.results import is_known_term
 from surge_core.errors import require
 
 
-@dataclass(frozen=True)
-class BaseTerms:
-    """Terms of a base characteristic, and those left out because their function is not known."""
-
-    terms: tuple[str, ...]
-    dropped: tuple[str, ...] = ()
-
-
-def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
+def discovered_terms(records: Sequence[CoefficientSeries]) -> tuple[list[str], list[str]]:
     """Return the terms that the sparse regression finds on the rows that a diagnosis fits.
 
-    The rows that the diagnosis holds out take no part: else the structure would know them.
+    Beside them: those left out because their function is not known. The rows that the diagnosis
+    holds out take no part: else the structure would know them.
 
     Raises
     ------
@@ -47,11 +40,11 @@ def discovered_terms(records: Sequence[CoefficientSeries]) -> BaseTerms:
         found = fit_sparse_whole_runs(fitted, until_s=list(until_s.values())).terms_
     else:
         found = _row_terms(fitted, list(until_s.values()))
-    terms = tuple(name for name in found if is_known_term(name))
+    terms = [name for name in found if is_known_term(name)]
     expected = "a structure with terms such as 1, phi, phi^2 or relu(phi-0.05)"
     remedy = "--degree N takes the powers of φ"
     require(bool(terms), "--base sindy", expected, ", ".join(found) or "none", remedy)
-    return BaseTerms(terms, tuple(name for name in found if name not in terms))
+    return terms, [name for name in found if name not in terms]
 
 
 def _row_terms(records: Sequence[CoefficientSeries], until_s: list[float]) -> list[str]:
