@@ -172,7 +172,6 @@ class Fit:
     nonlinear: FloatArray
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
     cost: float = 0.0
-    converged: bool = True
 
     @property
     def tau_s(self) -> float:
@@ -374,13 +373,13 @@ def fit_structure(
 def _descend(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> Fit:
     here = np.clip(np.asarray(start, dtype=np.float64), *structure.bounds.T)
     found = solved(structure, data, metric, here)
-    damping, steps, gained = 1e-4, 0, np.inf
-    while gained >= LEAST_GAIN and steps < MOST_STEPS:
+    damping = 1e-4
+    for _ in range(MOST_STEPS):
         before = found.cost
         found, damping = found.stepped(damping)
-        steps, gained = steps + 1, before - found.cost
-    converged = gained < LEAST_GAIN
-    return Fit(structure, found.nonlinear, found.coefficients, found.cost, converged)
+        if before - found.cost < LEAST_GAIN:
+            break
+    return Fit(structure, found.nonlinear, found.coefficients, found.cost)
 
 
 def errors_on(fit: Fit, data: LagData, metric: Metric) -> tuple[FloatArray, tuple[float, float]]:

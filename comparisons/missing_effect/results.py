@@ -412,10 +412,6 @@ class Diagnosis(Displayed):
 
         return max(self.proof, key=missed)
 
-    def parameter(self, name: str) -> ParameterRow:
-        """Return a parameter of the model by name."""
-        return next(row for row in self.parameters if row.name == name)
-
     def effect_grid(self) -> Grid:
         """Return a row for each number of what is missing."""
         rows: list[tuple[str, ...]] = []

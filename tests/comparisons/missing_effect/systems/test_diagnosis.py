@@ -162,7 +162,7 @@ def test_a_drive_at_its_limit_is_named_and_the_parameters_are_right() -> None:
     assert (found.verdict, found.names) == ("named", ("saturation",))
     assert found.missing[0].place["input"] == "v"
     assert found.missing[0].parameters[0].value == pytest.approx(10.0, rel=5e-3)
-    row = found.parameter("R")
+    row = next(row for row in found.parameters if row.name == "R")
     assert abs(row.after - truth.CIRCUIT["R"]) < 4.0 * row.after_stderr
     check = found.checks[0]
     assert check.after_rms[0] < 0.1 * check.before_rms[0]
