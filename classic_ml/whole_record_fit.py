@@ -212,6 +212,19 @@ class WholeRecordFit:
         return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
 
     @property
+    def parts(self) -> dict[str, float]:
+        """What leaves τ open, each as a standard deviation of log τ, the largest first."""
+        found = {
+            "the scatter of the cycles": self.cycles.log_tau,
+            "the choices of the fit": self.specification.log_tau,
+            "the noise of the probes": self.twins.log_tau,
+            "the time from plane to plane": self.planes.log_tau,
+            "the law of the probes near zero flow": abs(self.probe_law),
+        }
+        known = {name: part for name, part in found.items() if math.isfinite(part)}
+        return dict(sorted(known.items(), key=lambda each: -each[1]))
+
+    @property
     def share(self) -> float:
         """Standard deviation of log τ but for `planes`, which another method shares."""
         return math.hypot(self.own_share, self.probe_law)

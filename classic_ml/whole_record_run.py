@@ -75,7 +75,7 @@ class WholeRecordRun(WholeRunFit):
     @property
     def cautions_(self) -> tuple[str, ...]:
         """What the interval lacks, and what τ hangs on beside the record."""
-        found = []
+        found = [self.left_open_] if self.left_open_ else []
         if not all(fit.twins.n for fit in self.fits_):
             found.append(
                 "no twins were measured: the interval of τ lacks the errors of calibration and of "
@@ -84,6 +84,15 @@ class WholeRecordRun(WholeRunFit):
         if any(abs(fit.probe_law) > 0.5 * fit.share for fit in self.fits_):
             found.append(f"τ hangs on the law of the probes near zero flow: {self._probe_law}")
         return tuple(found)
+
+    @property
+    def left_open_(self) -> str:
+        """What leaves τ open, the most first, where it is not stated for that."""
+        if self.fit_state_ is not FitState.UNCERTAIN:
+            return ""
+        widest = max(self.fits_, key=lambda fit: fit.share)
+        parts = [f"{name} ({100.0 * part:.0f} %)" for name, part in widest.parts.items()]
+        return f"τ is left open by {', '.join(parts)}"
 
     @property
     def _probe_law(self) -> str:

@@ -24,7 +24,7 @@ from comparisons.harness.work_fit import fit_work, why_withheld, withheld_if_vag
 from comparisons.missing_effect import Diagnosis, diagnose
 from comparisons.missing_effect.quantities import plain_name
 from comparisons.missing_effect.whole_runs import N_TWINS as DIAGNOSIS_TWINS
-from comparisons.missing_effect.words import verdict_sentence
+from comparisons.missing_effect.words import beside_words, verdict_sentence
 from comparisons.results import Answer, Comparison
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
@@ -200,6 +200,7 @@ def missing_words(d: Diagnosis) -> str:
         f"The record decides about {len(d.absent)} of {len(d.absent) + len(d.untold)} effects."
         if few_decided
         else verdict_sentence(d),
+        *beside_words(d),
         *(f"{text[0].upper()}{text[1:].rstrip('.')}." for text in d.remarks),
     ]
     if d.absent and not d.missing:
@@ -210,13 +211,15 @@ def missing_words(d: Diagnosis) -> str:
             if few_decided
             else f"Any of {any_of} would have been seen, such as {seen}."
         )
-    if d.untold:
+    # Of a provisional name the doubt is said already.
+    open_ = [each for each in d.untold if each.effect not in d.names]
+    if open_:
         # What any of them could do with as well stands in the evidence.
         few = ", ".join(
             f"{plain_name(each.effect)} (that needs {each.what_would_tell.partition(';')[0]})"
-            for each in d.untold[:FEW]
+            for each in open_[:FEW]
         )
-        more = len(d.untold) - FEW
+        more = len(open_) - FEW
         rest = f" and {counted(more, 'other')}, listed in the evidence" if more > 0 else ""
         words.append(f"This record does not decide on {few}{rest}.")
     return " ".join(words)

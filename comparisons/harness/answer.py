@@ -104,6 +104,7 @@ def _test_line(comparison: Comparison, name: str = "") -> str:
 def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     words = (
         f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
+        f"{_reserved(first)}"
     )
     # What its interval lacks where no twins were measured.
     lacking = "".join(
@@ -133,10 +134,23 @@ def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     )
 
 
+def _reserved(first: EstimatorResult) -> str:
+    """Say what else the recommended reading must be read with."""
+    words, second = "", first.second_reading
+    if second is not None:
+        words = (
+            f". The rows in stall alone read {significant(1e3 * second.value_s, 3)} ms, and the "
+            "interval spans both"
+        )
+    if first.held_out is not None and first.held_out.r2 < 0.0:
+        words += ". On cycles left out its curve is worse than a constant, and none is stated"
+    return words
+
+
 def _not_believed(comparison: Comparison) -> str:
     """Say why no τ of a comparison may be quoted."""
     results = comparison.results
-    withheld = [r.label for r in results if r.name == "classic_ml" and r.state in WITHHOLDING]
+    withheld = [r for r in results if r.name == "classic_ml" and r.state in WITHHOLDING]
     whole = [result for result in results if result.whole_run is not None]
     decisive = [
         f"of {result.label} ({result.name}), {DECISIVE[check]}"
@@ -149,7 +163,9 @@ def _not_believed(comparison: Comparison) -> str:
     elif spread_speeds(comparison.records):
         why = "the records have different corrected speeds, each with a τ of its own"
     elif withheld:
-        why = f"{withheld[0]} was refused, and the others know less"
+        open_ = getattr(withheld[0].whole_run, "left_open_", "")
+        why = f"{withheld[0].label} was refused, and the others know less"
+        why += f"; {open_}" if open_ else ""
     elif not whole and any(map(lacks_ledger, comparison.records)):
         why = (
             "the series lies without the ledger that `sindy-surge reduce` wrote beside it, and its "
@@ -217,12 +233,22 @@ def _others(
 
 
 def _refused(comparison: Comparison) -> list[str]:
-    said = [
-        # What is advised stands with the estimator, further down.
-        f"{result.label} ({result.name}): {result.advice.partition('. ')[0]}"
-        for result in comparison.results
-        if result.state in WITHHOLDING
+    entries = [entry for record in comparison.records for entry in record.history]
+    dropped = [
+        f"{drop.what}: {drop.why}"
+        for entry in entries
+        if entry.step == "choose channels"
+        for drop in entry.dropped
+        # What is left out of the thermocouples is said of ψ.
+        if drop.what.startswith("pair")
     ]
+    refused: dict[str, list[str]] = {}
+    for result in comparison.results:
+        if result.state in WITHHOLDING:
+            # What is advised stands with the estimator, further down.
+            why = result.advice.partition(". ")[0]
+            refused.setdefault(why, []).append(f"{result.label} ({result.name})")
+    said = [*dropped, *(f"{' and '.join(who)}: {why}" for why, who in refused.items())]
     works = (unknown_work(record.history) for record in comparison.records)
     return [*said, *dict.fromkeys(work.text for work in works if work is not None)]
 

@@ -38,6 +38,7 @@ _STIFF = (
     "The base terms are too stiff for these records: a higher --degree, or --base sindy, takes the "
     "bend into the characteristic itself."
 )
+_LEFT_BESIDE = "Something else is left in the errors that nothing tried here explains."
 _FURTHER = (
     "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another base "
     "(--degree, --base sindy) or a longer record may give it a name."
@@ -93,9 +94,8 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
         said = [
             _worse_words(d),
             verdict_sentence(d),
-            *(_alias_words(d, item) for item in d.missing),
+            *beside_words(d),
             _SEPARATE if d.of_series and several and not separated else "",
-            _doubt_words(d),
             _STIFF if "characteristic_shape" in d.names else "",
             _bound_words(d),
             *map(_sentence, d.remarks),
@@ -139,6 +139,15 @@ def verdict_sentence(d: Diagnosis) -> str:
         return f"{lead}."
     it, (_, tau) = "them" if len(each) > 1 else "it", d.tau_said
     return f"{lead}: with {it} {_fall_words(d)}{f', and {tau}' if tau else ''}."
+
+
+def beside_words(d: Diagnosis) -> tuple[str, ...]:
+    """Say what else a name may stand for, why one is provisional, and whether something is left."""
+    left = bool(d.missing) and d.verdict == "unexplained_structure"
+    return (
+        *filter(None, (_alias_words(d, item) for item in d.missing)),
+        *filter(None, (_doubt_words(d), _LEFT_BESIDE if left else "")),
+    )
 
 
 def effect_words(item: MissingEffect) -> tuple[str, ...]:

@@ -114,8 +114,12 @@ class EstimatorResult:
 
     @property
     def states_curve(self) -> bool:
-        """Whether its characteristic may be read; else it is written as null."""
-        return self.state != "rank_deficient" and self.state not in WITHHOLDING
+        """Whether its characteristic may be read; else it is written as null.
+
+        That of a whole run is none where a constant foretells cycles left out better.
+        """
+        foretells = self.whole_run is None or self.held_out is None or self.held_out.r2 >= 0.0
+        return foretells and self.state != "rank_deficient" and self.state not in WITHHOLDING
 
     @property
     def has_tau(self) -> bool:
