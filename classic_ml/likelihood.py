@@ -112,9 +112,13 @@ def cycle_shifts(fit: LinearisedFit) -> CycleShifts:
     return CycleShifts(moves, inverse - whole, edges)
 
 
+# Below this a start adds less than a rounding error.
+FORGOTTEN = 1e-17
+
+
 @dataclass(frozen=True)
 class Start:
-    """What the unknown start of a piece adds to its errors.
+    """What the unknown start of a piece adds to those errors that still feel it.
 
     The columns of ``basis`` are orthonormal; ``size`` is the norm of the one column a^k of output
     error.
@@ -277,19 +281,23 @@ def _whitened(data: LagData, whitener: MovingAverage, rows: FloatArray) -> Float
 def _starts(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> tuple[Start, ...]:
     longest = max((piece.rows.stop - piece.rows.start for piece in data.pieces), default=0)
     if data.is_output_error:
-        column = lag.decay(longest)[:, None]
+        felt = min(int(-np.log(FORGOTTEN) / lag.ratio) + 2, longest)
+        column = lag.decay(felt)[:, None]
     elif data.ahead:
+        decades = min(np.log(max(whitener.largest_root, 1e-3)), -1e-9)
+        felt = min(int(np.log(FORGOTTEN) / decades) + 2 * data.order + 2, longest)
         # The errors before a stretch are unknown but not free: innovations like all others, they
         # stand as rows of their own ahead of its equations (unconditional least squares, Box and
         # Jenkins 1976). Taken as zero, the classical recursion, they bias τ on short segments.
-        before = whitener.whiten(whitener.reach(longest))
+        before = whitener.whiten(whitener.reach(felt))
         column = np.concatenate([-np.eye(data.order), before])
     else:
         return ()
     starts = []
     for piece in data.pieces:
-        where = piece.errors
-        own = column[: where.stop - where.start] * data.root[where, None]
+        stop = min(piece.errors.stop, piece.errors.start + column.shape[0])
+        where = slice(piece.errors.start, stop)
+        own = column[: stop - piece.errors.start] * data.root[where, None]
         size = float(np.sqrt(own[:, 0] @ own[:, 0]))
         one = own.shape[1] == 1
         basis = own / (size or 1.0) if one else np.linalg.qr(own)[0]
