@@ -273,9 +273,10 @@ def _fit_all(
     starts = 1 + int(np.count_nonzero(~own.joined))
     spent = starts + free.size / n_states
     left = problem.data.y - fit.x
-    # What noisy inputs leave is in the squared error as well.
-    share = np.sum((left / problem.noise)[:, ~problem.hidden] ** 2) / fit.chi2
-    free_rows = max(n_rows - spent, 1.0) * (share if problem.input_noise.any() else 1.0)
+    free_rows = max(n_rows - spent, 1.0)
+    if problem.input_noise.any() and np.isfinite(fit.chi2):
+        # What noisy inputs leave is in the squared error as well.
+        free_rows *= np.sum((left / problem.noise)[:, ~problem.hidden] ** 2) / fit.chi2
     found = np.sqrt(np.sum(left**2, axis=0) / free_rows)
     floor = LEAST_NOISE * np.std(problem.data.y, axis=0)
     noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
