@@ -220,8 +220,9 @@ def _with_inputs(
         data = replace(problem.data, held=np.array(held, dtype=np.bool_))
         own = replace(problem, data=data)
         fit, own = _fit_all(own, free, near or _start(own, rates, free), rates)
-        size = len(data.y) * float(np.sum(np.log(own.noise[~own.hidden])))
-        return size + _HELD * sum(held) if np.isfinite(fit.chi2) else np.inf, fit, own
+        if not np.isfinite(fit.chi2):
+            return np.inf, fit, own
+        return 0.5 * own.cut(_FULL_ROWS[-1]).deviance(fit) + _HELD * sum(held), fit, own
 
     n = problem.data.u.shape[1]
     tried = {held: fitted(held) for held in {(False,) * n, (True,) * n}}
