@@ -75,16 +75,17 @@ def with_noisy_inputs(
 ) -> Found:
     """Search again with inputs as noisy as their own rows show, and return what is likelier.
 
-    An input that is rough of itself shows as noisy too; the record is likelier without such noise.
-    All inputs are noisy at first, and each alone where that is not likelier.
+    An input that is rough of itself shows as noisy too; the record is likelier without such noise,
+    and clearly so: where it is not, what the rows show counts. All inputs are noisy at first, and
+    each alone where that is not likelier.
     """
-    shown = problem.data.input_noise
+    shown, (partial, least) = problem.data.input_noise, _unlikely(exact)
     own = [np.where(np.arange(shown.size) == i, shown, 0.0) for i in np.flatnonzero(shown)]
     for noises in ([shown], own)[: len(own)]:
         trials = (replace(problem, input_noise=noise) for noise in noises)
         tried = [search_by_levels(each, rates, given, optimizer, full=True) for each in trials]
-        found = min((exact, *tried), key=_unlikely)
-        if found is not exact:
+        found = min(tried, key=_unlikely)
+        if _unlikely(found) < (partial, least + RIVAL):
             return found
     return exact
 
