@@ -217,12 +217,13 @@ class WholeRecordFit:
         found = {
             "the scatter of the cycles": self.cycles.log_tau,
             "the choices of the fit": self.specification.log_tau,
-            "the noise of the probes": self.twins.log_tau,
+            "the noise of the probes": self.twins.log_tau if self.twins.n else 0.0,
             "the time from plane to plane": self.planes.log_tau,
             "the law of the probes near zero flow": abs(self.probe_law),
         }
-        known = {name: part for name, part in found.items() if math.isfinite(part)}
-        return dict(sorted(known.items(), key=lambda each: -each[1]))
+        # What is not known comes first.
+        parts = {name: part if math.isfinite(part) else math.inf for name, part in found.items()}
+        return dict(sorted(parts.items(), key=lambda each: -each[1]))
 
     @property
     def share(self) -> float:

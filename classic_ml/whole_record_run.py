@@ -41,6 +41,8 @@ QUANTILE = 1.96
 # knows no twins, so that it has at most the weight of the first.
 CORRELATION = 0.5
 LARGEST_WEIGHT = 0.5
+# Of τ: what would be written as 0 %.
+SMALLEST_PART = 0.005
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
@@ -91,7 +93,11 @@ class WholeRecordRun(WholeRunFit):
         if self.fit_state_ is not FitState.UNCERTAIN:
             return ""
         widest = max(self.fits_, key=lambda fit: fit.share)
-        parts = [f"{name} ({100.0 * part:.0f} %)" for name, part in widest.parts.items()]
+        parts = [
+            f"{name} ({f'{100.0 * part:.0f} %' if math.isfinite(part) else 'not known'})"
+            for name, part in widest.parts.items()
+            if part > SMALLEST_PART
+        ]
         return f"τ is left open by {', '.join(parts)}"
 
     @property

@@ -118,7 +118,7 @@ class EstimatorResult:
 
         That of a whole run is none where a constant foretells cycles left out better.
         """
-        foretells = self.whole_run is None or self.held_out is None or self.held_out.r2 >= 0.0
+        foretells = self.whole_run is None or self.held_out is None or not self.held_out.r2 < 0.0
         return foretells and self.state != "rank_deficient" and self.state not in WITHHOLDING
 
     @property

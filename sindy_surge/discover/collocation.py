@@ -169,9 +169,18 @@ class Collocation:
         """
         about = self._about(fit.x, fit.u, fit.xi)
         factor = about.whitened(np.zeros(0, dtype=np.intp)).factor
-        rows, n = int(self.joined.sum()), self.noise.size
+        rows, hidden = int(self.joined.sum()), int(self.hidden.sum())
+        # What is not measured costs nothing.
+        free = rows * self.noise.size - len(fit.x) * hidden
         units = rows * float(np.sum(np.log(self.noise)))
-        return float(rows * n * np.log(fit.chi2) + 2.0 * (np.sum(np.log(factor[0])) + units))
+        return float(free * np.log(fit.chi2) + 2.0 * (np.sum(np.log(factor[0])) + units))
+
+    def innovations(self, fit: Fit) -> FloatArray:
+        """Return what is new in each row, (n_rows, n_states), in units of noise; 0 at starts."""
+        support = np.flatnonzero(fit.xi.T.ravel())
+        white = self._about(fit.x, fit.u, fit.xi).whitened(support)
+        rest = white.target - white.columns @ fit.xi.T.ravel()[support]
+        return np.concatenate((np.zeros((1, self.noise.size)), rest.reshape(-1, self.noise.size)))
 
     def _about(self, x: FloatArray, u: FloatArray, xi: FloatArray) -> _About:
         return _Shot(self, x, u, xi, self.parts) if self.parts else _About(self, x, u, xi)
@@ -243,7 +252,8 @@ class _About:
     def input_tangents(self) -> tuple[FloatArray, FloatArray]:
         """Return how the defects move with noisy inputs in row k and in the next.
 
-        By the rule of Hermite and Simpson, with smooth inputs half-way between rows.
+        By the rule of Hermite and Simpson, smooth inputs on straight lines between rows: near
+        enough for noise.
         """
         data, h, by = self.data, self.h[:, :, None], self.x.shape[1] + self.noisy
         held = data.held[self.noisy]

@@ -46,7 +46,8 @@ class SparseDynamics(BaseEstimator):
     All states are taken as measured with white noise of unknown size. States and coefficients are
     estimated together (errors in variables); the terms are those of the best extended BIC. An input
     runs smoothly through its rows or is held from each to the next, whichever leaves less. One
-    whose own rows show white noise is estimated as the states are, where that is likelier.
+    whose own rows show white noise is estimated as the states are, unless the record is clearly
+    likelier with it exact (not with ``search="optimizer"``).
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class SparseDynamics(BaseEstimator):
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
     input_noise_ : ndarray of shape (n_inputs,)
-        The same of each input; 0 where inputs are taken as exact.
+        Noise of each input as its own rows show it; 0 where it is taken as exact.
     beyond_ : tuple of str
         Terms beyond the library that would pay their price, beside those stated or for them.
     late_ : Late or None

@@ -47,7 +47,9 @@ def ended(
     y = problem.data.y[:, ~problem.hidden]
     step = np.array([np.min(np.diff(np.unique(column))) for column in y.T])
     least = np.maximum(LEAST_NOISE * np.std(y, axis=0), step)
-    coloured = (np.std(left, axis=0) > least) & _coloured(left, problem.data.runs)
+    # States that follow noisy inputs leave coloured errors even of the right model.
+    new = problem.innovations(best.fit)[:, ~problem.hidden] if problem.input_noise.any() else left
+    coloured = (np.std(left, axis=0) > least) & _coloured(new, problem.data.runs)
     large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
     # The largest of so many normal numbers; one run may be noisier than another.
     most = norm.isf(_BY_CHANCE / (2.0 * left.size))

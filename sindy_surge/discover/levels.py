@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -76,28 +76,31 @@ def with_noisy_inputs(
     """Search again with inputs as noisy as their own rows show, and return what is likelier.
 
     An input that is rough of itself shows as noisy too; the record is likelier without such noise,
-    and clearly so: where it is not, what the rows show counts. All inputs are noisy at first, and
-    each alone where that is not likelier.
+    and clearly so: where it is not, what the rows show counts. All inputs are noisy at first, then
+    ever fewer of them.
     """
-    shown, (partial, least) = problem.data.input_noise, _unlikely(exact)
-    own = [np.where(np.arange(shown.size) == i, shown, 0.0) for i in np.flatnonzero(shown)]
-    for noises in ([shown], own)[: len(own)]:
-        trials = (replace(problem, input_noise=noise) for noise in noises)
-        tried = [search_by_levels(each, rates, given, optimizer, full=True) for each in trials]
+    shown, (shortness, least) = problem.data.input_noise, _unlikely(exact)
+    noisy = np.flatnonzero(shown)
+    for size in range(noisy.size, 0, -1):
+        tried = []
+        for some in combinations(noisy.tolist(), size):
+            noise = np.where(np.isin(np.arange(shown.size), some), shown, 0.0)
+            trial = replace(problem, input_noise=noise)
+            tried.append(search_by_levels(trial, rates, given, optimizer, full=True))
         found = min(tried, key=_unlikely)
-        if _unlikely(found) < (partial, least + RIVAL):
+        if _unlikely(found) < (shortness, least + RIVAL):
             return found
     return exact
 
 
-def _unlikely(found: Found) -> tuple[bool, float]:
-    """Return what orders searches with other noise: whole trajectories first, then likelihood."""
+def _unlikely(found: Found) -> tuple[float, float]:
+    """Return what orders searches with other noise: the longest segments first, then likelihood."""
     (level, *_), best = found
     if not np.isfinite(best.score):
-        return True, np.inf
-    problem = level.likelihood
-    score = problem.deviance(best.fit) + level.price * len(best.support)
-    return problem.rows is not None, score
+        return np.inf, np.inf
+    rows = level.likelihood.rows
+    score = level.likelihood.deviance(best.fit) + level.price * len(best.support)
+    return -np.inf if rows is None else -float(rows), score
 
 
 def searched(
@@ -166,7 +169,7 @@ def pays_beyond(level: Level, best: Tried[Fit], columns: Sequence[str]) -> tuple
     """
     problem = level.likelihood
     n = problem.known.shape[0]
-    wide = WiderFeatures.of_features(problem.features, best.fit.x, problem.data.u)
+    wide = WiderFeatures.of_features(problem.features, best.fit.x, best.fit.u)
     more = wide.kept.size - n
     known, xi = (np.pad(each, ((0, more), (0, 0))) for each in (problem.known, best.fit.xi))
     linear = replace(problem, features=wide, known=known).regression(replace(best.fit, xi=xi))
