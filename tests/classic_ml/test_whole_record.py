@@ -13,15 +13,20 @@ from rig_records import rig_record, rig_run, rig_series, through_files
 from classic_ml.calibration import calibrate
 from classic_ml.flow import local_flows
 from classic_ml.io.series import read_series, write_series
+from classic_ml.record_reading import RecordReading
 from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
-from classic_ml.segments import threshold_between
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.branches import BranchFit, FreeRun, Specification, fit_branches
+from classic_ml.whole_record.branches import Specification, fit_branches
 from classic_ml.whole_record.passes import Passes, cell_frequency_hz, passes_of, without_cells
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record, with_stored_gas
+from classic_ml.whole_record_fit import (
+    WholeRecordFit,
+    fit_whole_record,
+    jackknife,
+    with_stored_gas,
+)
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
@@ -53,11 +58,14 @@ def fitted(series: CoefficientSeries) -> WholeRecordRun:
     return found
 
 
-def made(tau_s: float = TAU_S, noise: float = 0.0, seed: int = 0) -> Passes:
+def made(
+    tau_s: float = TAU_S, noise: float = 0.0, seed: int = 0, phi: FloatArray | None = None
+) -> Passes:
     """Return passes of a machine with two branches and no sensors."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(4000) * PERIOD_S
-    phi = 0.09 + 0.11 * np.sin(2.0 * np.pi * 6.0 * time_s + 0.6 * np.sin(2.3 * time_s))
+    if phi is None:
+        phi = 0.09 + 0.11 * np.sin(2.0 * np.pi * 6.0 * time_s + 0.6 * np.sin(2.3 * time_s))
     plain = Passes(
         np.arange(phi.size),
         np.zeros(phi.size, dtype=np.int64),
@@ -91,21 +99,21 @@ def test_without_noise_both_branches_give_the_truth(tau_s: float) -> None:
     assert fit.coefficients[:3] == pytest.approx([1.2, 3.0, 47.0], rel=5e-3)
 
 
-def _half_curvature(passes: Passes, fit: BranchFit) -> float:
-    """Return half the second derivative of the sum of squares over log τ."""
-    run = FreeRun.of(passes, SPEC, passes.in_stall)
-    costs = [run.least_error(fit.tau_s * math.exp(step)) for step in (-0.03, 0.0, 0.03)]
-    return fit.errors.size * (costs[0] - 2.0 * costs[1] + costs[2]) / 0.03**2 / 2.0
-
-
-def test_the_scatter_over_seeds_is_that_of_the_curvature() -> None:
-    fits = [
-        fit_branches(p, SPEC, p.in_stall) for p in (made(noise=0.05, seed=s) for s in range(20))
-    ]
-    logs = np.log([fit.tau_s / TAU_S for fit in fits])
-    z = logs / np.sqrt(0.05**2 / _half_curvature(made(noise=0.05), fits[0]))
-    # The rms of twenty z is known to 16 %.
-    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+@pytest.mark.parametrize("cycles", ["alike", "one knows τ"])
+def test_the_scatter_over_seeds_is_the_one_stated(signals: RakeSignals, cycles: str) -> None:
+    # Large loops in stall make one cycle of 0.7 s, small ones the others.
+    wave, phi = np.sin(2.0 * np.pi * 6.0 * PERIOD_S * np.arange(4000)), None
+    if cycles == "one knows τ":
+        phi = np.where(np.arange(4000) < 700, 0.06 + 0.05 * wave, 0.13 + 0.006 * wave)
+    off, stated = [], []
+    for seed in range(12):
+        passes = made(noise=0.05, seed=seed, phi=phi)
+        reading = RecordReading(signals, None, passes, SPEC, passes.in_stall, None)
+        fit = reading.fit()
+        off.append(math.log(fit.tau_s / TAU_S))
+        stated.append(jackknife(reading, fit).log_tau)
+    # The rms of twelve is known to 20 %.
+    assert 0.6 < np.linalg.norm(off) / np.linalg.norm(stated) < 1.6
 
 
 def test_stall_ends_on_the_way_up_and_begins_on_the_way_down() -> None:
@@ -116,12 +124,6 @@ def test_stall_ends_on_the_way_up_and_begins_on_the_way_down() -> None:
     assert ends.size == begins.size or ends.size == begins.size + 1
     assert passes.phi[ends] == pytest.approx(0.15, abs=0.006)
     assert passes.phi[begins] == pytest.approx(0.1, abs=0.006)
-
-
-def test_otsu_divides_two_clouds() -> None:
-    rng = np.random.default_rng(3)
-    values = np.concatenate([rng.normal(0.0, 0.1, 300), rng.normal(2.0, 0.1, 200)])
-    assert 0.4 < threshold_between(values) < 1.7
 
 
 def test_the_cells_are_found_and_cancelled(signals: RakeSignals) -> None:
@@ -154,17 +156,15 @@ def test_tau_of_a_record_and_its_interval(fitted: WholeRecordRun) -> None:
 
 
 def test_the_interval_holds_the_truth_at_other_speeds_and_noises() -> None:
-    cases = [("90", 5, 0.1), ("95", 6, 0.2), ("985-second", 7, 0.3)]
     held = []
-    for case, seed, noise in cases:
+    for case, seed, noise in [("90", 5, 0.1), ("95", 6, 0.2), ("985-second", 7, 0.3)]:
         fit = fit_whole_records(
             [rig_series(case, seed, sensors=SensorSettings(noise_percent=noise))], n_twins=4
         )
         assert isinstance(fit, WholeRecordRun)
         if not fit.fit_state_.withholds:
             held.append(fit.ci95_s_[0] < TAU_S < fit.ci95_s_[1])
-    assert len(held) >= 2
-    assert sum(held) >= len(held) - 1
+    assert sum(held) >= len(held) - 1 >= 1
 
 
 def test_a_file_gives_what_the_series_gives(
