@@ -252,10 +252,10 @@ class _Answer:
         other = min(self.share**2 / (self.share**2 + share**2), LARGEST_WEIGHT)
         own, others = (1.0 - other) * self.share, other * share
         mean_share = math.sqrt(own**2 + others**2 + 2.0 * CORRELATION * own * others)
-        mean_share = max(mean_share, 0.5 * abs(apart))
         if mean_share >= self.share:
             # The other is so uncertain that it says nothing.
             return self
+        mean_share = max(mean_share, 0.5 * abs(apart))
         log_tau = self.log_tau + other * apart
         own_curve, _ = _mean_curve(
             [_curve_at(math.exp(log_tau), fit) for fit in fits], [fit.covariance for fit in fits]

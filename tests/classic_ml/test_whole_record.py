@@ -21,12 +21,7 @@ from classic_ml.whole_record.branches import Specification, fit_branches
 from classic_ml.whole_record.passes import Passes, cell_frequency_hz, passes_of, without_cells
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from classic_ml.whole_record_fit import (
-    WholeRecordFit,
-    fit_whole_record,
-    jackknife,
-    with_stored_gas,
-)
+from classic_ml.whole_record_fit import fit_whole_record, jackknife, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
@@ -220,10 +215,6 @@ def test_rakes_that_disagree_show_the_error_of_calibration(
     assert np.mean(np.square(found)) == pytest.approx(15.0**2, rel=0.5)
 
 
-def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
-    return _combined([series], (fit,), None)
-
-
 def test_what_is_not_known_is_not_printed(
     series: CoefficientSeries, fitted: WholeRecordRun
 ) -> None:
@@ -235,7 +226,7 @@ def test_what_is_not_known_is_not_printed(
         (replace(fit, fit=replace(fit.fit, at_end=True)), FitState.AT_SEARCH_END),
         (replace(fit, delay=(0.004, 2.0 * fit.share)), FitState.MISALIGNED),
     ):
-        found = withheld(wrong, series)
+        found = _combined([series], (wrong,), None)
         assert found.fit_state_ is state
         assert math.isnan(found.time_constant_s_)
         assert np.isnan(found.covariance_).all()
@@ -266,17 +257,24 @@ def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRu
     assert found.fit_state_ is FitState.TWO_READINGS
     assert found.second_reading_ is not None
     assert found.second_reading_.value_s == 0.04
-    assert found.ci95_s_[0] < fitted.fits_[0].tau_s
+    own = fitted.fits_[0]
+    assert found.ci95_s_[0] < own.tau_s
     assert found.ci95_s_[1] == pytest.approx(found.second_reading_.ci95_s[1])
+    # One that is well known and hardly agrees counts for half, and widens the interval.
+    near_s = own.tau_s * math.exp(1.9 * own.share)
+    near = replace(second, time_constant_s_=near_s, time_constant_stderr_s_=0.001 * near_s)
+    found = _combined([series], fitted.fits_, near)
+    assert found.time_constant_s_ == pytest.approx(math.sqrt(near_s * own.tau_s))
+    assert found.ci95_s_[0] < own.tau_s < near_s < found.ci95_s_[1]
 
 
 def without(what: str, which: str) -> CoefficientSeries:
     """Return the series of a record that lacks a rake or an immersion."""
     run = rig_run("985", 72)
     gone = [name for name, channel in run.test["channels"].items() if channel.get(what) == which]
-    channels = {n: channel for n, channel in run.test["channels"].items() if n not in gone}
-    limits = {n: pair for n, pair in run.test["limits"].items() if n not in gone}
-    test = {**run.test, "channels": channels, "limits": limits}
+    kept = ("channels", "limits")
+    left = {k: {n: v for n, v in run.test[k].items() if n not in gone} for k in kept}
+    test = {**run.test, **left}
     return reduce_record(*through_files(replace(run, raw=run.raw.without(gone), test=test))).series
 
 
