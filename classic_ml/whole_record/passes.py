@@ -44,7 +44,8 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     power: FloatArray | float = 0.0
     for start, stop in intervals_where(rows).tolist():
         if differences and stop - start >= fewest:
-            piece = differences[0][start:stop]
+            # Of total pressure: hum in it grows in the flow without bound near zero flow.
+            piece = differences[-1][start:stop]
             frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=fewest)
             power = power + density * piece.size
     if isinstance(power, float):

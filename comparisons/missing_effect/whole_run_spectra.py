@@ -20,6 +20,9 @@ SLOWEST_PATTERN, FASTEST_PATTERN = 0.4, 2.0
 LEAST_RATE = 5.0
 # Harmonics of the cells are this wide; the background of a line is the median over so much.
 NEAR_CELLS_HZ, BACKGROUND_HZ = 3.0, 40.0
+# What of a line in stall stands before surge where it is hum (all of it) and no pattern (nothing);
+# how long before the first reversal stall may begin; and turns of a line that are enough to see it.
+HUM, BEFORE_SURGE_S, FEWEST_TURNS = 0.5, 0.1, 3.0
 # What three standard deviations leave to chance, shared by all lines that were looked at.
 CHANCE = 0.00135
 
@@ -97,17 +100,37 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     # In noise the power over its median follows an exponential law.
     loud = height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
     found = peaks[alone & loud & (frequency[peaks] < FASTEST_PATTERN * cells_hz)]
+    found = np.array([k for k in found if not _is_hum(reading, stalled, frequency[k])], np.intp)
     if not found.size:
         return None
     best = int(found[np.argmax(height[found])])
     psi_p = np.nan_to_num(signals.coefficients(signals.planes())[1])
     quick = _held(psi_p - period_average(psi_p, passes.period_s, rate_hz), stalled)
-    turn = np.exp(-2j * np.pi * frequency[best] * passes.sample_period_s * np.arange(quick.size))
-    amplitude = 2.0 * float(np.abs(quick @ turn)) / float(np.count_nonzero(stalled))
+    amplitude = _amplitude(quick, float(frequency[best]), rate_hz) / float(np.mean(stalled))
     tall = float(height[best])
     # The bound for a line in white noise: √6 / (2π T √(power ratio)).
     spread_hz = float(np.sqrt(6.0 / tall)) * rate_hz / (2.0 * np.pi * quick.size)
     return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
+
+
+def _is_hum(reading: RecordReading, stalled: BoolArray, frequency_hz: float) -> bool:
+    """Return whether a line of the rake difference stands before the first reversal, too."""
+    signals, passes = reading.signals, reading.passes
+    rate_hz = 1.0 / passes.sample_period_s
+    values = signals.cell_differences(25)[-1]
+    quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
+    reversal = int(np.argmax(signals.mean(signals.flow_kg_s, 25) < 0.0))
+    before = quick[: max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)]
+    if before.size * frequency_hz < FEWEST_TURNS * rate_hz:
+        return False
+    in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / float(np.mean(stalled))
+    return _amplitude(before, frequency_hz, rate_hz) > HUM * in_stall
+
+
+def _amplitude(values: FloatArray, frequency_hz: float, rate_hz: float) -> float:
+    """Return the amplitude of a line."""
+    turn = np.exp(-2j * np.pi * frequency_hz / rate_hz * np.arange(values.size))
+    return 2.0 * float(np.abs(values @ turn)) / values.size
 
 
 def _held(quick: FloatArray, stalled: BoolArray) -> FloatArray:

@@ -42,18 +42,15 @@ def test_filtering_both_alike_or_none_is_not_held_against_them() -> None:
     for seed in range(8):
         phi, psi_p = record(seed)
         alarms += bool(filter_cautions(fit_rows(phi, psi_p, 6)))
-        alarms += bool(
-            filter_cautions(fit_rows(low_pass(phi, "causal"), low_pass(psi_p, "causal"), 6))
-        )
+        alike = [low_pass(values, "causal") for values in (phi, psi_p)]
+        alarms += bool(filter_cautions(fit_rows(*alike, 6)))
     assert alarms <= 1
 
 
 def test_a_low_pass_in_the_ledger_makes_the_tau_of_the_pressure_coefficient_doubtful() -> None:
     def ledger(cutoff: float, step: str = "filter", phase: str = "zero") -> list[LedgerEntry]:
-        return [
-            LedgerEntry("read", ""),
-            LedgerEntry(step, "", {"phase": phase, "cutoff_hz": cutoff}),
-        ]
+        filtered = LedgerEntry(step, "", {"phase": phase, "cutoff_hz": cutoff})
+        return [LedgerEntry("read", ""), filtered]
 
     found = tau_caution([ledger(60.0), ledger(48.0), ledger(48.0), []])
     assert found is not None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import subprocess
 import sys
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +13,6 @@ from mistake import Mistake
 from mistake_checks import check, check_printable, check_sentence
 from mistake_desk import hand_in, run_in
 from mistakes import CLOCKS, FORMATS, MISTAKES, RAW_FILES, READINGS
-
-
-def test_each_mistake_has_a_name_of_its_own() -> None:
-    assert not [name for name, count in Counter(m.id for m in MISTAKES).items() if count > 1]
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda row: row.id)

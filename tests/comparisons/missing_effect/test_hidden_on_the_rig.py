@@ -7,6 +7,7 @@ What was hidden is known here alone. `benchmarks/hidden_on_the_rig.py` does it o
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -21,11 +22,12 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import fit_branches
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose, find_effect
 from comparisons.missing_effect.loading import block_rows, reading_of, whole_data
-from comparisons.missing_effect.whole_run_spectra import ripple_line
+from comparisons.missing_effect.whole_run_spectra import RippleLine, ripple_line
 from comparisons.missing_effect.whole_runs import nulls_of, plain_bench, rms_left
 from comparisons.rig import CASES
 from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC
 from comparisons.rig_distributed import draw_record
+from surge_core.types import FloatArray
 
 TAU_MS = 18.0
 # Enough for the scatter of a null to be known to a fifth.
@@ -122,6 +124,20 @@ def test_side_lines_of_surge_are_no_second_pattern(tmp_path: Path, seed: int) ->
     """Half way to the next harmonic: 1.54 and 1.53 times the cells, eight and seven surges away."""
     draw_record(seed, tmp_path / "record")
     assert ripple_line(reading_of(series_of(tmp_path / "record"))) is None
+
+
+def test_a_line_that_stands_before_surge_is_hum() -> None:
+    reading = reading_of(rig_series("985"))
+    signals, stalled = reading.signals, np.zeros(reading.signals.inlet_K.size)
+    stalled[reading.passes.row] = reading.in_stall
+    hum = 1500.0 * np.sin(2.0 * np.pi * 50.0 * signals.sample_period_s * np.arange(stalled.size))
+
+    def found(added: FloatArray) -> RippleLine | None:
+        total_Pa = {k: v + added * ("_B_" in k) for k, v in signals.total_Pa.items()}
+        return ripple_line(replace(reading, signals=replace(signals, total_Pa=total_Pa)))
+
+    assert getattr(found(hum * stalled), "frequency_hz", 0.0) == pytest.approx(50.0, abs=0.2)
+    assert found(hum) is None
 
 
 def test_a_wrong_inertia_is_named_or_said_to_be_out_of_reach() -> None:
