@@ -1,9 +1,10 @@
 """Whole records as an estimator: one answer, its second reading, or the reason why there is none.
 
 The lag over both branches (:mod:`classic_ml.whole_record_fit`) stands beside the fit to the
-in-stall rows alone (:mod:`classic_ml.whole_run`). Where the two agree they are averaged; where they
-part by more than two of their combined standard deviations the first is the answer, its interval
-spans both, and the other is the second reading.
+in-stall rows alone (:mod:`classic_ml.whole_run`). Where the two agree they are averaged, with half
+their distance as the least standard deviation; where they part by more than two of their combined
+standard deviations, or their mean would be too wide to be stated, the first is the answer, its
+interval spans both, and the other is the second reading.
 """
 
 from __future__ import annotations
@@ -246,9 +247,10 @@ class _Answer:
         if second.fit_state_ is not FitState.CONVERGED or not 0.0 < stderr_s < tau_s:
             return self
         share, apart = stderr_s / tau_s, math.log(tau_s) - self.log_tau
+        reach = math.exp(QUANTILE * math.hypot(share, planes.log_tau))
+        parted = Reading(tau_s, (tau_s / reach, tau_s * reach))
         if abs(apart) > APART * math.hypot(share, self.share):
-            reach = math.exp(QUANTILE * math.hypot(share, planes.log_tau))
-            return Reading(tau_s, (tau_s / reach, tau_s * reach))
+            return parted
         other = min(self.share**2 / (self.share**2 + share**2), LARGEST_WEIGHT)
         own, others = (1.0 - other) * self.share, other * share
         mean_share = math.sqrt(own**2 + others**2 + 2.0 * CORRELATION * own * others)
@@ -256,6 +258,8 @@ class _Answer:
             # The other is so uncertain that it says nothing.
             return self
         mean_share = max(mean_share, 0.5 * abs(apart))
+        if math.hypot(mean_share, planes.log_tau) > LARGEST_SHARE:
+            return parted
         log_tau = self.log_tau + other * apart
         own_curve, _ = _mean_curve(
             [_curve_at(math.exp(log_tau), fit) for fit in fits], [fit.covariance for fit in fits]

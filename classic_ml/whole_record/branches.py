@@ -173,11 +173,14 @@ class FreeRun:
         return coefficients / scale, measured - own @ coefficients
 
     def information(self, fit: BranchFit, rows: BoolArray) -> float:
-        """Return what rows know of log τ: the square of what moves with it and no column makes."""
+        """Return what rows know of log τ: the square of what moves with it and no column makes.
+
+        In units of the noise's variance.
+        """
         ends = [responses(fit.tau_s * by, self.passes, self.inputs)[rows] for by in (0.99, 1.01)]
         slope = (ends[1] - ends[0]) @ fit.coefficients / math.log(1.01 / 0.99)
-        own = responses(fit.tau_s, self.passes, self.inputs)[rows]
-        own /= np.sqrt(np.mean(own**2, axis=0)) + 1e-12
+        answers = responses(fit.tau_s, self.passes, self.inputs)
+        own = (answers / (np.sqrt(np.mean(answers**2, axis=0)) + 1e-12))[rows]
         left = slope - own @ np.linalg.lstsq(own, slope, rcond=RANK)[0]
         return float(left @ left)
 

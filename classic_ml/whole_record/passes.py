@@ -44,7 +44,8 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     power: FloatArray | float = 0.0
     for start, stop in intervals_where(rows).tolist():
         if differences and stop - start >= fewest:
-            # Of total pressure: hum in it grows in the flow without bound near zero flow.
+            # Of total pressure: near zero flow hum grows in the flow (18 kg/s of hum to 6 of the
+            # cells on a record where it was 0.6 to 5 kPa in pressure).
             piece = differences[-1][start:stop]
             frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=fewest)
             power = power + density * piece.size

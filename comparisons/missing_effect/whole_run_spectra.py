@@ -100,7 +100,8 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     # In noise the power over its median follows an exponential law.
     loud = height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
     found = peaks[alone & loud & (frequency[peaks] < FASTEST_PATTERN * cells_hz)]
-    found = np.array([k for k in found if not _is_hum(reading, stalled, frequency[k])], np.intp)
+    hum = [_is_hum(reading, differences, stalled, hz) for hz in frequency[found].tolist()]
+    found = found[~np.array(hum, dtype=np.bool_)]
     if not found.size:
         return None
     best = int(found[np.argmax(height[found])])
@@ -113,18 +114,26 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
 
 
-def _is_hum(reading: RecordReading, stalled: BoolArray, frequency_hz: float) -> bool:
-    """Return whether a line of the rake difference stands before the first reversal, too."""
+def _is_hum(
+    reading: RecordReading,
+    differences: Sequence[FloatArray],
+    stalled: BoolArray,
+    frequency_hz: float,
+) -> bool:
+    """Return whether a line stands before the first reversal, too, in a rake difference."""
     signals, passes = reading.signals, reading.passes
     rate_hz = 1.0 / passes.sample_period_s
-    values = signals.cell_differences(25)[-1]
-    quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
     reversal = int(np.argmax(signals.mean(signals.flow_kg_s, 25) < 0.0))
-    before = quick[: max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)]
-    if before.size * frequency_hz < FEWEST_TURNS * rate_hz:
-        return False
-    in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / float(np.mean(stalled))
-    return _amplitude(before, frequency_hz, rate_hz) > HUM * in_stall
+    n = max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)
+    for values in differences if n * frequency_hz > FEWEST_TURNS * rate_hz else ():
+        quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
+        in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / np.mean(stalled)
+        before = _amplitude(quick[:n], frequency_hz, rate_hz)
+        # In noise the square of an amplitude follows an exponential law.
+        stands = 0.25 * n * before**2 > -np.log(CHANCE) * np.var(quick[:n])
+        if stands and before > HUM * in_stall:
+            return True
+    return False
 
 
 def _amplitude(values: FloatArray, frequency_hz: float, rate_hz: float) -> float:
