@@ -66,8 +66,8 @@ class FitState(StrEnum):
     TWO_READINGS = (
         "two_readings",
         "The rows in stall alone give another time constant than all forward rows, by about two "
-        "standard deviations or more: the interval spans both. A record with smaller loops, or a lower "
-        "noise of the probes, would separate them.",
+        "standard deviations or more: the interval spans both. A record with smaller loops, or a "
+        "lower noise of the probes, would separate them.",
     )
     UNCERTAIN = (
         "uncertain",
