@@ -165,10 +165,8 @@ class FreeRun:
 
     def profile(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
         """Return coefficients and errors of the least squares for a τ, each piece with a start."""
-        answers = responses(tau_s, self.passes, self.inputs)
-        # By all rows: a column may be nothing in those that are scored.
-        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-        own, measured = answers[self.scored] / scale, self.psi_p[self.scored]
+        columns, scale = self._columns(tau_s)
+        own, measured = columns[self.scored], self.psi_p[self.scored]
         coefficients = np.asarray(np.linalg.lstsq(own, measured, rcond=RANK)[0])
         return coefficients / scale, measured - own @ coefficients
 
@@ -179,10 +177,16 @@ class FreeRun:
         """
         ends = [responses(fit.tau_s * by, self.passes, self.inputs)[rows] for by in (0.99, 1.01)]
         slope = (ends[1] - ends[0]) @ fit.coefficients / math.log(1.01 / 0.99)
-        answers = responses(fit.tau_s, self.passes, self.inputs)
-        own = (answers / (np.sqrt(np.mean(answers**2, axis=0)) + 1e-12))[rows]
+        own = self._columns(fit.tau_s)[0][rows]
         left = slope - own @ np.linalg.lstsq(own, slope, rcond=RANK)[0]
         return float(left @ left)
+
+    def _columns(self, tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the responses, each over its size, and those sizes."""
+        answers = responses(tau_s, self.passes, self.inputs)
+        # By all rows: a column may be nothing in those that are scored.
+        scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+        return answers / scale, scale
 
     def least_error(self, tau_s: float) -> float:
         """Return the mean square error of that."""

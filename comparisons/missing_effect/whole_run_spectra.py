@@ -125,7 +125,9 @@ def _is_hum(
     rate_hz = 1.0 / passes.sample_period_s
     reversal = int(np.argmax(signals.mean(signals.flow_kg_s, 25) < 0.0))
     n = max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)
-    for values in differences if n * frequency_hz > FEWEST_TURNS * rate_hz else ():
+    if n * frequency_hz < FEWEST_TURNS * rate_hz:
+        return False
+    for values in differences:
         quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
         in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / np.mean(stalled)
         before = _amplitude(quick[:n], frequency_hz, rate_hz)

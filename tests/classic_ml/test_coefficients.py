@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from raw_data import GAMMA, GAS, INERTIA_PER_M, U_M_S, make_test
+from raw_data import AIR, GAMMA, GAS, INERTIA_PER_M, U_M_S, make_test
 
 from classic_ml.coefficients import (
     PSI_MINIMUM_PHI,
@@ -17,19 +17,12 @@ from classic_ml.coefficients import (
     psi_is_known,
     work_coefficient,
 )
-from classic_ml.description import Compressor, TestDescription
+from classic_ml.description import TestDescription
 from classic_ml.flow import corrected_flow, corrected_from_physical
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.work.balance import with_work
 from surge_core.errors import InputError
 
-AIR = Compressor(
-    mean_radius_m=0.28,
-    inertia_per_m=10.7,
-    internal_volume_m3=0.08,
-    gamma=GAMMA,
-    gas_constant_J_kg_K=GAS,
-)
 HEAT = GAMMA * GAS / (GAMMA - 1)
 ONE = np.ones(5)
 

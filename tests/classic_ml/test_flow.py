@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from raw_data import GAMMA, GAS, corrected, make_test
+from raw_data import AIR, GAMMA, GAS, corrected, make_test
 
 from classic_ml.calibration import calibrate
-from classic_ml.description import Compressor
 from classic_ml.flow import (
     LBM_KG,
     P_STANDARD_PA,
@@ -25,13 +24,6 @@ from classic_ml.flow import (
 from classic_ml.records import Record
 from surge_core.errors import InputError
 
-AIR = Compressor(
-    mean_radius_m=0.28,
-    inertia_per_m=10.7,
-    internal_volume_m3=0.08,
-    gamma=GAMMA,
-    gas_constant_J_kg_K=GAS,
-)
 MACH = np.linspace(-0.95, 0.95, 381)
 
 

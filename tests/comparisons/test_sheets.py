@@ -37,6 +37,7 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
     assert bracketed(d.tau_after_s, d.tau_stderr_s) in text
     for item in d.missing:
         assert " or ".join(map(plain_name, item.alias_labels[:2])) in text
+    # The answer of a run says the same, and what is left beside a name.
     said = missing_words(d)
     assert ("cannot separate" in said) == any(len(item.alias_set) > 1 for item in d.missing)
     assert ("provisional: " in said) == any(item.provisional for item in d.missing)

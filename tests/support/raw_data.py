@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from classic_ml.description import Compressor
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 
@@ -24,6 +25,13 @@ SPEED_RPM, DESIGN_RPM, RADIUS_M = 11400.084, 12303.0, 0.28
 INERTIA_PER_M = 10.7
 U_M_S = 2 * np.pi * SPEED_RPM / 60 * RADIUS_M
 CELL_HZ = 82.5
+AIR = Compressor(
+    mean_radius_m=RADIUS_M,
+    inertia_per_m=INERTIA_PER_M,
+    internal_volume_m3=0.08,
+    gamma=GAMMA,
+    gas_constant_J_kg_K=GAS,
+)
 
 
 def corrected(mach: np.ndarray, area: float) -> np.ndarray:

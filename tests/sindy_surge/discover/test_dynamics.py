@@ -133,7 +133,10 @@ def test_an_input_that_is_held_between_rows():
     model = SparseDynamics().fit(run + 0.02 * run.std() * rng.standard_normal(1500), t, u=u)
     assert (model.held_inputs_, model.equations(1)) == (("u0",), ["-0.7 x0 + 0.5 u0"])
     assert np.abs(model.simulate([0.0], t, u)[:, 0] - run).max() < 0.05 * run.std()
-    # Noise of an exact input does not stand for a law that the library lacks.
+
+
+def test_noise_of_an_exact_input_does_not_stand_for_a_law_that_the_library_lacks():
+    rng = np.random.default_rng(5)
     u = lfilter([0.6], [1.0, -0.8], rng.normal(size=400))
     run = lfilter([0.0, 0.1], [1.0, -0.9], u * np.abs(u))
     model = SparseDynamics().fit(rng.normal(run, 0.01 * run.std()), 0.1, u)
@@ -168,10 +171,12 @@ def test_noise_on_an_input_is_estimated_where_its_own_rows_show_it(kind):
 
 
 def test_inputs_that_are_too_coarse_to_be_followed_are_said():
+    """Five rows a period of the input, between which no two splines agree."""
+
     def force(t):
         return np.sin(t) + 0.7 * np.cos(0.37 * t + 0.3)
 
-    t = 0.4 * np.pi * np.arange(400)  # Five rows a period, between which no two splines agree
+    t = 0.4 * np.pi * np.arange(400)
     run = solved(lambda q, w, at: [w, force(at) - 1.5 * q - 0.4 * w, 1.0], [1, 0, 0], t)[:, :2]
     noise = 0.02 * run.std(axis=0) * np.random.default_rng(0).standard_normal(run.shape)
     model = SparseDynamics(ps.PolynomialLibrary(degree=2)).fit(run + noise, t, force(t))
