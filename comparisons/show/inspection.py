@@ -82,8 +82,8 @@ def _surge_text(inspection: Inspection) -> Iterator[str]:
     from_s, to_s = inspection.surges_s
     if to_s - from_s < SURGING_SHARE * (inspection.clock.last_s - inspection.clock.first_s):
         yield (
-            f"surge: the channels swing from {from_s:.6g} to {to_s:.6g} s; a part of a long record "
-            "is read with --from-s and --to-s, or [window] of test.toml"
+            f"surge or rotating stall: the channels swing from {from_s:.6g} to {to_s:.6g} s; a "
+            "part of a long record is read with --from-s and --to-s, or [window] of test.toml"
         )
 
 

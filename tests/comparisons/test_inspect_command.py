@@ -138,7 +138,7 @@ def test_the_part_of_a_long_record_that_surges_is_found(
     assert found.surges_s == pytest.approx((60.0, 70.0), abs=0.6)
     code, out, _ = run(capsys, tmp_path / "raw.csv")
     assert code == 0
-    assert "surge: the channels swing from 59." in out
+    assert "surge or rotating stall: the channels swing from 59." in out
     quiet = {name: values[:50_000] for name, values in columns.items()}
     assert inspected(tmp_path, quiet).surges_s is None
 
