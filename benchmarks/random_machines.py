@@ -4,7 +4,8 @@ Each record comes from a machine of its own: volumes, ducts, cells, hub-tip defi
 curve, loss in reversed flow, law of the probes near zero flow, noise, sample rate, number of rakes
 and of immersions are drawn; some curves are no parabola. The truth is known, and with it what makes
 a record hard: the share of loops in stall, the spread of the recoveries, and the Cramér-Rao bound
-on log τ from the true signals.
+on log τ from the true signals. The column `band` adds up the share of φ at which the curve's own
+95 % interval holds the truth.
 
     python benchmarks/random_machines.py --machines 60 --seed S [--jobs N] [--json FILE]
     python benchmarks/random_machines.py --records "FOLDER/m*"    # folders with truth.json
@@ -52,7 +53,8 @@ GROSS_SHARE, CURVE = 0.30, 0.15
 INDEPENDENT_S = 0.003
 # Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
 NEAR_STALL_S = 0.14
-FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
+FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "refused")
+FIXED += ("curve", "band")
 
 
 def draw(
@@ -133,6 +135,9 @@ def answered(folder: Path, truth: dict[str, Any], n_twins: int) -> dict[str, Any
         phi = np.linspace(*model.valid_phi, 41)
         apart = model.quasi_steady(phi) - np.polynomial.polynomial.polyval(phi, truth["beta"])
         row["curve"] = float(np.sqrt(np.mean(apart**2)))
+        assert result.whole_run is not None
+        stderr = result.whole_run.characteristic(phi)[1]
+        row["band"] = float(np.mean(np.abs(apart) <= 1.96 * stderr))
     return row
 
 
@@ -237,6 +242,7 @@ def strata(rows: list[dict[str, Any]]) -> str:
         "gross": (off > GROSS_SHARE * true) & ~held,
         "curve": table["curve"] <= CURVE,
         "of curves": table["curve"].notna(),
+        "band": table["band"].fillna(0.0),
         "refused": off.isna() & (table["state"] != "crash"),
         "crashes": table["state"] == "crash",
     })  # fmt: skip
@@ -257,7 +263,7 @@ def strata(rows: list[dict[str, Any]]) -> str:
         "a bent curve": table["shape"] == "bent",
     }
     shown = {label: counted[chosen].sum() for label, chosen in strata.items() if chosen.any()}
-    return pd.DataFrame(shown).T.to_string()
+    return pd.DataFrame(shown).T.to_string(float_format="%.3g")
 
 
 def main() -> None:
