@@ -58,8 +58,7 @@ class Bench:
     @classmethod
     def of(cls, records: Records) -> Self:
         """Fit the user's model as it is, and choose how its inputs run between samples."""
-        wanted = records.model.input_between_samples
-        between = "cubic" if wanted == "auto" else wanted
+        between = "cubic" if records.between == "auto" else records.between
         structure = Structure(records.model, (), between, offsets_free=False)
         train, later = _runs(records, between)
         raw = raw_metric([run.outputs for run in train])
@@ -167,7 +166,7 @@ class Bench:
         the error in the metric of the model's own colour falls, since what happens within a
         sample can be lost in the slow part of the raw error. A stretch of each record is enough.
         """
-        chosen = self.records.model.input_between_samples != "auto"
+        chosen = self.records.between != "auto"
         if chosen or not self.records.model.inputs or self.fit.failed:
             return self
         now = self.fit.structure.between

@@ -26,8 +26,9 @@ from comparisons.missing_effect.systems.doubts import (
     doubts_of,
     left_words,
     leftover_of,
+    one_sided,
 )
-from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.experiments import Experiment, held_rows
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
@@ -122,7 +123,20 @@ def diagnose_model(
     report("testing what is left")
     left = leftover_of(system, catalogue, library)
     report("fitting all rows")
-    return _concluded(base, system, tuple(rounds), checks, left)
+    diagnosis = _concluded(base, system, tuple(rounds), checks, left)
+    held = _held_words([fit] if isinstance(fit, Experiment) else fit, model)
+    return replace(diagnosis, remarks=(*held, *diagnosis.remarks))
+
+
+def _held_words(experiments: Sequence[Experiment], model: Model) -> list[str]:
+    """Say which outputs are read more seldom than there are rows, and held in between."""
+    rows = {n: max(held_rows(e.channels[n])[1] for e in experiments) for n in model.output_names}
+    return [
+        f"{name} is read every {every} rows and held in between: only rows with a new reading "
+        "are fitted and scored"
+        for name, every in rows.items()
+        if every > 1
+    ]
 
 
 def _with_drift(
@@ -204,10 +218,11 @@ def _concluded(
     beyond = asked | beyond
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
-    noise = np.asarray(metric.sigma)
+    errors = before.rms, after.rms, np.asarray(metric.sigma)
     names = [placed for _, placed in won]
     missing = tuple(
-        _found(after, after_cov, r, p, records, checked, beyond, left, noise, names) for r, p in won
+        _found(after, after_cov, r, p, records, checked, beyond, left, errors, names)
+        for r, p in won
     )
     if left.structured:
         # A name beyond the first may stand in for what is left; so may the first, without a check
@@ -285,7 +300,7 @@ def _found(
     checks: Sequence[CheckRun],
     beyond: Mapping[str, str],
     left: Leftover,
-    noise: FloatArray,
+    errors: Sequence[FloatArray],
     found: Sequence[Placed],
 ) -> MissingEffect:
     winner = step.winner
@@ -293,8 +308,8 @@ def _found(
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = doubts_of(step, placed, numbers, checks, model, left, noise)
-    doubts += doubts_beside(placed, found, left, model, checks)
+    doubts = doubts_of(step, placed, numbers, checks, model, left, errors)
+    doubts += doubts_beside(placed, found, left, model, checks, one_sided(fit, records))
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
     doubts += tuple(filter(None, [at_bound(fit, placed)]))
     confirm = {placed.label(model): placed.words(model).confirm}

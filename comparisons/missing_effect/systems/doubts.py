@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-from comparisons.missing_effect.systems.fit import settled
+from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import (
@@ -31,6 +32,7 @@ from comparisons.missing_effect.systems.places import (
     label_of,
     signal_names,
 )
+from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
@@ -62,6 +64,8 @@ LEAST_ARREARS = 0.1
 LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
 # An error this many times what is new in each sample is hardly more than that.
 BARELY = 1.1
+# Of its square, where a square with the sign of the signal is as good as one without.
+ALIKE = 0.9
 # A signal is said to be followed where chance does as well this seldom.
 FOLLOWED_P = 0.05
 # A term without a name that wins this share more on the rows fitted says that more is there.
@@ -75,9 +79,13 @@ def doubts_of(
     checks: Sequence[CheckRun],
     model: Model,
     left: Leftover,
-    noise: FloatArray,
+    errors: Sequence[FloatArray],
 ) -> tuple[str, ...]:
-    """Return why a name is not firm, or a term not to be relied on; empty where it is."""
+    """Return why a name is not firm, or a term not to be relied on; empty where it is.
+
+    ``errors`` are the rms error of each output on the rows fitted without and with what was
+    found, and what is new in each sample of it.
+    """
     winner = step.winner
     assert winner is not None
     out = []
@@ -102,6 +110,9 @@ def doubts_of(
         would_do = f": {plain_name(plain[0].label(model))} would do" if plain else ""
         are = "is" if len(unknown) == 1 else "are"
         out.append(f"{' and '.join(unknown)} {are} not known{would_do}")
+    before, after, noise = errors
+    if _more_than_half(before, after, noise):
+        out.append("more than half of the error on the rows fitted stays")
     out += _left_on(checks, noise)
     if step.rivalled:
         out.append("a term without a name explains more")
@@ -142,6 +153,13 @@ def _share_left(checks: Sequence[CheckRun]) -> float:
     return max(shares, default=1.0)
 
 
+def _more_than_half(before: FloatArray, after: FloatArray, noise: FloatArray) -> bool:
+    """Tell whether more than half stays of each error that is more than noise."""
+    wide = before > BEYOND_NOISE * noise
+    stays = after > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise)
+    return bool(wide.any() and stays[wide].all())
+
+
 def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
     """Return what of the error on check records stays; nothing where they are as they should be."""
     before, after, own = (
@@ -150,8 +168,7 @@ def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
     )
     # What a fit to the check record takes away differs between the records, and is not missing.
     stays = np.fmin(after, own)
-    wide = before > BEYOND_NOISE * noise
-    if wide.any() and (stays > np.fmax(MOST_LEFT * before, BEYOND_NOISE * noise))[wide].all():
+    if _more_than_half(before, stays, noise):
         return ["more than half of the error on check records stays"]
     # Where what is new in each error is large, half of it says little: what is beyond that counts,
     # and larger noise on a check record is none of it.
@@ -176,6 +193,7 @@ def doubts_beside(
     left: Leftover,
     model: Model,
     checks: Sequence[CheckRun],
+    one_sided: Collection[int],
 ) -> tuple[str, ...]:
     """Return why a name that fits may be another's: by what was found with it and what is left.
 
@@ -192,7 +210,7 @@ def doubts_beside(
         label = plain_name(one.label(model))
         if one.unnamed and placed.bends_as(one):
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
-        elif placed.shares_curve_with(one) and not _jumps(placed):
+        elif placed.shares_curve_with(one, one_sided) and not _jumps(placed):
             out.append(f"{label} bends the same curve, and one law that was not tried may do both")
         elif placed.is_late_with(one):
             out.append(f"{label} is late as well, and one lag of a higher order may do both")
@@ -267,6 +285,23 @@ def left_words(left: Leftover, named: bool) -> str:
     )
 
 
+def _signals(model: Model, experiments: Sequence[Experiment], fit: Fit) -> list[FloatArray]:
+    """Return states and inputs of each run, a column each."""
+    return [
+        np.column_stack(
+            [path.states[::FINE, : len(model.states)], experiment.columns(model.input_names)]
+        )
+        for experiment, path in zip(experiments, fit.paths, strict=True)
+    ]
+
+
+def one_sided(fit: Fit, records: Records) -> frozenset[int]:
+    """Return which signals keep their sign, so that an odd law of them is an even one as well."""
+    every = np.concatenate(_signals(records.model, records.whole, fit))
+    alike = np.abs(np.sum(every * np.abs(every), axis=0)) >= ALIKE * np.sum(every**2, axis=0)
+    return frozenset(np.flatnonzero(alike).tolist())
+
+
 def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
@@ -281,12 +316,8 @@ def leftover_of(
     later = settled(bench.fit, bench.later, bench.raw)
     model = bench.records.model
     names = signal_names(model)
-    n_x = len(model.states)
     fitted, held_out = (
-        [
-            np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
-            for run, path in zip(runs, fit.paths, strict=True)
-        ]
+        _signals(model, [run.experiment for run in runs], fit)
         for runs, fit in ((bench.train, bench.fit), (bench.later, later))
     )
     p, share, follows, new_p, late_p = 1.0, 0.0, "", 1.0, 1.0

@@ -14,6 +14,8 @@ from surge_core.types import BoolArray, FloatArray
 
 FEWEST_ROWS = 40
 FEWEST_READINGS = 10
+# By chance so many changes lie a whole number of two rows apart once in half a million records.
+FEWEST_CHANGES = 20
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it
 # to well below the noise of any record here.
 BAND_FACTOR = 4
@@ -89,7 +91,7 @@ class Experiment:
         return next(iter(self.channels.values())).size
 
     def of(self, model: Model) -> Experiment:
-        """Return the run with what a model needs, checked.
+        """Return the run with what a model needs, checked; a reading that is held counts once.
 
         Parameters
         ----------
@@ -116,7 +118,12 @@ class Experiment:
         for name in model.output_names:
             moves = float(np.ptp(self.read(name))) > 0.0
             self.require(moves, name, "an output that changes", "a constant")
-        return replace(self, channels={name: self.channels[name] for name in wanted})
+        channels = {name: self.channels[name] for name in wanted}
+        for name in model.output_names:
+            first, every = held_rows(channels[name])
+            fresh = np.arange(self.n_samples) % every == first % every
+            channels[name] = np.where(fresh, channels[name], np.nan)
+        return replace(self, channels=channels)
 
     def read(self, name: str, which: str = "") -> FloatArray:
         """Return the readings of an output in some part of it, refused where they are too few."""
@@ -138,6 +145,26 @@ class Experiment:
         if not names:
             return np.zeros((self.n_samples, 0))
         return np.column_stack([self.channels[name] for name in names])
+
+
+def held_rows(values: FloatArray) -> tuple[int, int]:
+    """Return in which row an output first changes, and the number of rows that it is held for."""
+    changed = np.flatnonzero(np.diff(values)) + 1
+    if changed.size < FEWEST_CHANGES:
+        return 0, 1
+    return int(changed[0]), int(np.gcd.reduce(np.diff(changed)))
+
+
+def is_held(values: FloatArray) -> bool:
+    """Tell whether an input was held between its samples: it repeats itself, then jumps.
+
+    Most rows have the value of the row before, and a jump is as large as the input's own swing: a
+    reading of a few bits repeats itself as well, and moves by little.
+    """
+    moved = np.diff(values)
+    jumps = moved[moved != 0.0]
+    far = jumps.size == 0 or float(np.sqrt(np.mean(jumps**2))) >= float(np.std(values))
+    return far and jumps.size < 0.5 * moved.size
 
 
 def input_pieces(values: FloatArray, how: str) -> FloatArray:

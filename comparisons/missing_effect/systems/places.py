@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -234,13 +234,20 @@ class Placed:
         late = one in LATE and two in LATE
         return late and not (same_end and self.place.at != other.place.at)
 
-    def shares_curve_with(self, other: Placed) -> bool:
-        """Tell whether two terms of one signal in one equation are one curve, both odd or even."""
-        terms = self.effect.kind == other.effect.kind == Kind.TERM
-        single = self.place.signal >= 0 > max(self.place.other, other.place.other)
-        same = (self.place.at, self.place.signal) == (other.place.at, other.place.signal)
+    def shares_curve_with(self, other: Placed, one_sided: Collection[int]) -> bool:
+        """Tell whether two terms of one equation are one curve of a signal.
+
+        Both are odd or even in it; one that keeps its sign, of ``one_sided``, does not tell those
+        apart, and a constant belongs to its curve.
+        """
+        pair = (self, other)
+        terms = all(p.effect.kind == Kind.TERM and p.place.other < 0 for p in pair)
+        if not terms or self.place.at != other.place.at:
+            return False
+        signals = {p.place.signal for p in pair if p.effect.code != Term.CONSTANT}
         alike = (self.effect.code in ODD) == (other.effect.code in ODD)
-        return terms and single and same and alike
+        constant = any(p.effect.code == Term.CONSTANT for p in pair)
+        return len(signals) == 1 and (signals <= set(one_sided) or (alike and not constant))
 
     @property
     def _channel(self) -> tuple[bool, int]:

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.experiments import Experiment, is_held
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import correlations
 from comparisons.missing_effect.systems.model import Model
@@ -91,6 +91,16 @@ class Records:
             first.append(e.rows(0, min(cut, most)))
             last.append(e.rows(cut, e.n_samples).rows(0, most_out))
         return replace(self, fitted=tuple(first), held_out=tuple(last))
+
+    @property
+    def between(self) -> str:
+        """How inputs run between samples: as the model says, held where they show it, or open.
+
+        What is late by half a sample looks like another way between the samples of a staircase.
+        """
+        wanted = self.model.input_between_samples
+        held = all(is_held(e.channels[name]) for e in self.whole for name in self.model.input_names)
+        return "held" if wanted == "auto" and held else wanted
 
     @property
     def shortened(self) -> bool:
