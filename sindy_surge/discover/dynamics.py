@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.columns import apart, as_fitted, check_names, moving
-from sindy_surge.discover.ending import ASKED_BEYOND, CLEAN, ended
+from sindy_surge.discover.ending import ASKED, CLEAN, ended
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.late import Late, read_late
 from sindy_surge.discover.levels import (
@@ -36,8 +36,6 @@ from surge_core.types import FloatArray
 _HIDDEN_FREEDOM = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
-# States in which late readings may hide.
-_MAY_BE_LATE = (*ASKED_BEYOND, FitState.UNEXPLAINED)
 
 
 class SparseDynamics(BaseEstimator):
@@ -164,7 +162,7 @@ class SparseDynamics(BaseEstimator):
             levels, best = with_noisy_inputs(problem, rates, given, optimizer, (levels, best))
         self._keep(levels, best)
         before = self.state_
-        if not full or before not in _MAY_BE_LATE:
+        if not full or before not in ASKED:
             return self
         if (moved := read_late(levels[0], best, rates, given, optimizer)) is not None:
             level, fewer, late = moved

@@ -16,10 +16,11 @@ from sindy_surge.segments import Segments
 from surge_core.fit_state import FitState
 from surge_core.types import BoolArray, FloatArray
 
-# States that state equations without reserve, and those in which terms beyond the library are
-# asked for.
+# States that state equations without reserve; those whose rest comes in runs; and all in which
+# terms beyond the library, and late readings, are asked for.
 CLEAN = (FitState.OK, FitState.UNDECIDED)
-ASKED_BEYOND = (*CLEAN, FitState.LIBRARY_TOO_SMALL, FitState.COLOURED_REST)
+COLOURED = (FitState.COLOURED_REST, FitState.UNEXPLAINED)
+ASKED = (*CLEAN, *COLOURED, FitState.LIBRARY_TOO_SMALL)
 # Of splines through the inputs, beside the cubic ones: where both agree, either will do.
 _OTHER_DEGREE = 5
 # What is left over the noise that differences show, before a run of it withholds the equations.
@@ -69,10 +70,10 @@ def ended(
     }
     state = next((state for state, is_so in found.items() if is_so), FitState.OK)
     beyond: tuple[str, ...] = ()
-    if state in (*ASKED_BEYOND, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
+    if state in (*ASKED, FitState.READ_LATE) and np.any(np.std(left, axis=0) > least):
         beyond = pays_beyond(level, best, columns)
-    clean = state is not FitState.COLOURED_REST
-    return FitState.LIBRARY_TOO_SMALL if beyond and clean else state, beyond
+    too_small = bool(beyond) and state not in COLOURED
+    return FitState.LIBRARY_TOO_SMALL if too_small else state, beyond
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

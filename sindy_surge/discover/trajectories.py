@@ -107,7 +107,7 @@ _LAWS: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True)
 class WiderFeatures(Features):
-    """The terms of a library, and others that no model holds: products, and laws of one quantity.
+    """The terms of a library, and others that no model holds: laws of one quantity, and products.
 
     Products are those of a term with a state or an input.
     """
@@ -126,7 +126,7 @@ class WiderFeatures(Features):
         """Return the names of those that the library lacks, from those of states and inputs."""
         laws = [law.format(name) for law in _LAWS for name in columns]
         products = [_times(term, name) for term in self.names for name in ("1", *columns)]
-        every = (*self.names, *products, *laws)
+        every = (*self.names, *laws, *products)
         return tuple(every[i] for i in self.kept[len(self.names) :])
 
     def _with_others(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -134,7 +134,8 @@ class WiderFeatures(Features):
         laws = [law(z) for law in _LAWS.values()]
         factors = np.column_stack((np.ones(len(x)), z))
         products = (own[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
-        return np.column_stack((own, products, *laws))
+        # Laws come first: below 0.9 rad the powers up to the fourth reproduce a sine.
+        return np.column_stack((own, *laws, products))
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the terms and the others (n_rows, n_terms) at states and inputs (n_rows, …)."""

@@ -58,7 +58,8 @@ def test_a_model_runs_at_another_sample_rate() -> None:
 def test_saved_models_come_back_bit_for_bit(tmp_path: Path) -> None:
     _, value, _, _ = fitted()
     save_models({"classic_ml": value}, tmp_path / "m.json")
-    assert load_models(tmp_path / "m.json")["classic_ml"] == value
+    again = load_models(tmp_path / "m.json")["classic_ml"]
+    assert repr(again) == repr(value)  # Some numbers are NaN, which equals nothing
     low, high = value.ci95_s
     assert 0.0 < low < value.time_constant_s < high
     assert low < TAU_S < high

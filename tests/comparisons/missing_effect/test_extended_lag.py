@@ -82,7 +82,7 @@ def test_read_back_it_leaves_on_an_unseen_record_noise_and_the_lag_alone_more(
     unseen = records[2]
     save_extended({name: models[name]}, tmp_path / "model.json")
     again = load_extended(tmp_path / "model.json")[name]
-    assert again == models[name]
+    assert repr(again) == repr(models[name])  # Some numbers are NaN, which equals nothing
     with_it = reconstruct_record(again, unseen)
     without = reconstruct_record(plain_lag(records[:2]), unseen)
     # Beyond the φ that was fitted a free shape is a guess; else the noise of one row stays in the

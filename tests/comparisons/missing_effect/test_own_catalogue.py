@@ -90,7 +90,7 @@ def test_it_is_simulated_saved_and_fitted_again(found: Diagnosis, tmp_path: Path
         load_extended(path)
     assert "probe_swirl" in str(refused.value)
     again = load_extended(path, catalogue=OWN)["own"]
-    assert again == model
+    assert repr(again) == repr(model)  # Some numbers are NaN, which equals nothing
     assert refitted(again, [moved]).effects[0].values[0] == pytest.approx(SIZE, rel=0.1)
 
 
