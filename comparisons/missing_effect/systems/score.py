@@ -237,6 +237,10 @@ def placed_effects(
     for effect in effects:
         if fit.structure.model.simulate is not None and effect.kind in INSIDE:
             refused.setdefault(effect.name, "acts inside the simulation, which is out of reach")
+        # What went through the filter has no steps.
+        if effect.kind is Kind.RECORDING and fit.structure.between == "held":
+            refused[effect.name] = "needs inputs that are not held between rows"
+            continue
         for place in effect.places(fit.structure.model):
             own, measured = signals.of(effect, place)
             scaled = measured / rms(measured)

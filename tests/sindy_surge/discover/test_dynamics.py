@@ -204,6 +204,7 @@ def test_a_missing_state_is_not_called_ok():
     [
         (lambda q, w: [w, -np.sin(q) - 0.1 * w], [2], 0.02, "sin(x0)"),
         (lambda q, w: [w, -np.sin(q) - 0.1 * w], [1], 0.02, "sin(x0)"),
+        (lambda q, w: [w, 6.4 - 12.8 * np.sin(q) - w], [0.1, 0.9], 0.01, "sin(x0)"),
         (lambda h, q: [q / 2 - np.sqrt(abs(h)) / 3, 1 - q], [0.4, 6], 0.02, "sqrt|x0|"),
         (lambda T, q: [q / 2 - T**4 / 20, 2 - T * q / 2], [0.3, 3], 0.02, "x0^4"),
         (lambda x, y: [y - 2 * x / (1 + x), 0.6 - y * (0.3 + x)], [2, 4], 0.01, ""),
@@ -212,7 +213,8 @@ def test_a_missing_state_is_not_called_ok():
 def test_a_term_that_the_library_lacks_is_not_called_ok(rate, starts, noise, beyond, seed):
     """Cubics leave 1.03 times a pendulum's noise, not white, and of x/(1 + x) what x⁴ sees.
 
-    T⁴ takes the place of several terms, beside which it says nothing new.
+    T⁴ takes the place of several terms, beside which it says nothing new. Of angles up to 0.9 the
+    powers reproduce a sine.
     """
     rng, t = np.random.default_rng(seed), np.arange(1500) * STEP_S
     runs = [solved(rate, [start, 0.0], t) for start in starts]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model, nulls
@@ -103,6 +103,79 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
     runs = [oscillator(seed, n, 0.0, slew=0.8) for seed, n in ((45, 1200), (95, 600))]
     found = diagnose_model(LINEAR, *runs)
     assert (firm(found), found.verdict == "nothing_missing") == ([], False)
+
+
+MOTOR = Model(
+    name="motor",
+    states={"i": "A", "w": "rad/s"},
+    inputs={"V": "V"},
+    outputs={"y": "rad/s"},
+    params={
+        "Te": P(0.02, 0.002, 0.2, "s"),
+        "Tm": P(0.1, 0.01, 1.0, "s"),
+        "K": P(5.0, 0.5, 50.0, "rad/s/V"),
+    },
+    rhs=lambda t, x, u, p: ((p.K * u.V - x.i) / p.Te, (x.i - x.w) / p.Tm),
+    output=lambda t, x, u, p: x.w,
+)
+
+
+def motor(seed: int, n: int, wanted: list[float], rows: int, late: float, every: int) -> Experiment:
+    """10 ms of a drive held at one of two levels; delayed by some rows, read every few."""
+    te, tm, gain = wanted
+    rng = np.random.default_rng(seed)
+    drive = np.repeat(rng.choice([-2.0, 2.0], n // rows + 1), rows)[:n]
+    fine = np.r_[np.zeros(round(20 * late)), np.repeat(drive, 20)][: 20 * n]
+    system = [[-1.0 / te, 0.0], [1.0 / tm, -1.0 / tm]], [[gain / te], [0.0]], [[0.0, 1.0]], [[0.0]]
+    w = lsim(system, fine, np.arange(20 * n) * 0.0005, interp=False)[1][::20]
+    read = w + 0.005 * np.std(w) * rng.standard_normal(n)
+    return Experiment(f"run {seed}", 0.01, {"V": drive, "y": np.repeat(read[::every], every)[:n]})
+
+
+HELD = {"complete": (0.009, 0.03, 2, 0.0, 1), "late": (0.08, 0.012, 4, 1.6, 1)}
+HELD["read every fourth row"] = (0.05, 0.25, 10, 0.0, 4)
+
+
+@pytest.mark.parametrize("case", HELD)
+def test_what_is_held_between_rows_is_no_lag(case: str) -> None:
+    """A held drive is no cubic half a sample late, a delay of it its own, a held reading no lag."""
+    te, tm, *how = HELD[case]
+    wanted = [te, tm, 6.0]
+    found = diagnose_model(
+        MOTOR, *(motor(seed, n, wanted, *how) for seed, n in ((1, 1500), (2, 800)))
+    )
+    assert [item.label for item in found.missing] == ["transport_delay(V) in V"] * (case == "late")
+    for row, truth in zip(found.parameters, wanted, strict=True):
+        assert abs(row.after - truth) < 4.0 * row.after_stderr < 0.05 * truth
+    for delay in (n for item in found.missing for n in item.parameters):
+        assert abs(delay.value - 0.016) < 4.0 * delay.stderr < 0.0016
+
+
+def plate(seed: int, n: int) -> Experiment:
+    """400 T' = P − 0.25 T^1.3 every 5 s, in steps of 0.25 s; T is that above the room's."""
+    rng = np.random.default_rng(seed)
+    heat, warm = np.repeat(rng.uniform(5.0, 150.0, n // 80), 80), np.full(n, 60.0)
+    for k in range(1, n):
+        now = warm[k - 1]
+        for _ in range(20):
+            now += 0.25 * (heat[k - 1] - 0.25 * now**1.3) / 400.0
+        warm[k] = now
+    read = warm + 0.3 * rng.standard_normal(n)
+    return Experiment(f"run {seed}", 5.0, {"P": heat, "T": read})
+
+
+def test_pieces_of_one_law_are_not_firm() -> None:
+    """T² and T³ of what is never below zero are one curve, and neither is the law."""
+    model = Model(
+        states={"T": "K"},
+        inputs={"P": "W"},
+        outputs={"T": "K"},
+        params={"C": P(500.0, 50.0, 5000.0, "J/K"), "h": P(1.5, 0.1, 20.0, "W/K")},
+        rhs=lambda t, x, u, p: ((u.P - p.h * x.T) / p.C,),
+        output=lambda t, x, u, p: x.T,
+    )
+    found = diagnose_model(model, plate(1, 1200), plate(2, 800))
+    assert (firm(found), bool(found.missing)) == ([], True)
 
 
 @pytest.mark.parametrize("periodic", [False, True])
