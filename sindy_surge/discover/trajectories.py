@@ -112,15 +112,23 @@ class WiderFeatures(Features):
     Products are those of a term with a state or an input.
     """
 
-    kept: IntArray  # All terms, then others that no earlier columns reproduce
+    # All terms, then laws and products that terms and earlier ones of their kind do not reproduce
+    kept: IntArray
 
     @classmethod
     def of_features(cls, features: Features, x: FloatArray, u: FloatArray) -> WiderFeatures:
         """Return the terms of a library, which come first, and the others on a record."""
         n = len(features.names)
         every = cls(features.library, features.names, features.size, np.arange(0))
-        kept = independent_columns(every._with_others(x, u), _ALIAS)
-        return replace(every, kept=np.concatenate((np.arange(n), kept[kept >= n])))
+        values = every._with_others(x, u)
+        first = n + len(_LAWS) * every.size.size
+        terms, kept = np.arange(n), [np.arange(n)]
+        # Below 0.9 rad the powers up to the fourth reproduce a sine, and laws a power.
+        for others in (np.arange(n, first), np.arange(first, values.shape[1])):
+            own = np.concatenate((terms, others))
+            found = own[independent_columns(values[:, own], _ALIAS)]
+            kept.append(found[found >= n])
+        return replace(every, kept=np.concatenate(kept))
 
     def others(self, columns: Sequence[str]) -> tuple[str, ...]:
         """Return the names of those that the library lacks, from those of states and inputs."""
@@ -134,7 +142,6 @@ class WiderFeatures(Features):
         laws = [law(z) for law in _LAWS.values()]
         factors = np.column_stack((np.ones(len(x)), z))
         products = (own[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
-        # Laws come first: below 0.9 rad the powers up to the fourth reproduce a sine.
         return np.column_stack((own, *laws, products))
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
