@@ -148,9 +148,9 @@ class FitState(StrEnum):
     )
     NO_EQUATIONS = (
         "no_equations",
-        "no model was found that the data follow, and none is stated: check that every state was "
-        "measured, and on one clock, and that no angle jumps by a turn; take shorter records, or a "
-        "smaller library",
+        "no model was found that the data follow, and none is stated: check that every state and "
+        "input was measured, and on one clock, and that no angle jumps by a turn; the library may "
+        "lack a term, or be too large for these records",
     )
     SHORT_RUNS_ONLY = (
         "short_runs_only",
