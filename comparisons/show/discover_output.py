@@ -58,14 +58,13 @@ def _equations(
 
 
 def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
-    """Return state, equations and rivals, line by line; the state alone if the fit failed."""
+    """Return state, equations and rivals, line by line; of a failed fit only what would pay."""
     head = f"{model.state_}: {model.state_.advice}"
+    beyond = [f"beyond the library: {', '.join(model.beyond_)} would pay"] if model.beyond_ else []
     if not _stated(model):
-        return (head,)
+        return (head, *beyond)
     named = zip(model.state_names_, model.equation_terms_, strict=True)
-    equations = [f"d{state}/dt = {_written(terms)}" for state, terms in named]
-    if model.beyond_:
-        equations.append(f"beyond the library: {', '.join(model.beyond_)} would pay")
+    equations = [f"d{state}/dt = {_written(terms)}" for state, terms in named] + beyond
     equations += [model.late_.words(model.state_names_)] if model.late_ is not None else []
     noisy = [f"{name} is measured with noise of {s:.2g}" for name, s in _input_noise(model).items()]
     equations += [f"{'; '.join(noisy)}: estimated with the states"] if noisy else []

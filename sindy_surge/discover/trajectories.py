@@ -122,13 +122,16 @@ class WiderFeatures(Features):
         every = cls(features.library, features.names, features.size, np.arange(0))
         values = every._with_others(x, u)
         first = n + len(_LAWS) * every.size.size
-        terms, kept = np.arange(n), [np.arange(n)]
+        terms, kept = np.arange(n), []
         # Below 0.9 rad the powers up to the fourth reproduce a sine, and laws a power.
         for others in (np.arange(n, first), np.arange(first, values.shape[1])):
             own = np.concatenate((terms, others))
             found = own[independent_columns(values[:, own], _ALIAS)]
             kept.append(found[found >= n])
-        return replace(every, kept=np.concatenate(kept))
+        laws, products = (values[:, k] / np.linalg.norm(values[:, k], axis=0) for k in kept)
+        # Of what keeps its sign |x| x is the square, and goes by that name.
+        new = np.all(np.abs(laws.T @ products) < 1.0 - _ALIAS**2, axis=1)
+        return replace(every, kept=np.concatenate((terms, kept[0][new], kept[1])))
 
     def others(self, columns: Sequence[str]) -> tuple[str, ...]:
         """Return the names of those that the library lacks, from those of states and inputs."""

@@ -28,7 +28,11 @@ from comparisons.missing_effect.systems.doubts import (
     leftover_of,
     one_sided,
 )
-from comparisons.missing_effect.systems.experiments import Experiment, held_rows
+from comparisons.missing_effect.systems.experiments import (
+    Experiment,
+    held_rows,
+    without_repeats,
+)
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
@@ -106,9 +110,14 @@ def diagnose_model(
     """
     report = progress or (lambda _: None)
     model = model.with_record_parameters()
-    records = Records.of(model, [fit] if isinstance(fit, Experiment) else list(fit))
-    given = [check] if isinstance(check, Experiment) else list(check)
-    checks = [_checkable(e.of(model), records) for e in given]
+    fits, given = (
+        [e.of(model) for e in ([runs] if isinstance(runs, Experiment) else runs)]
+        for runs in (fit, check)
+    )
+    rows = {name: held_rows(name, fits, given) for name in model.output_names} if fits else {}
+    held = {name: every for name, every in rows.items() if every > 1}
+    records = Records.of(model, [without_repeats(e, held) for e in fits])
+    checks = [_checkable(without_repeats(e, held), records) for e in given]
     report("fitting the model")
     base = ModelSystem.of(records)
     system, rounds = search(base, catalogue, library, most_effects, report)
@@ -124,19 +133,12 @@ def diagnose_model(
     left = leftover_of(system, catalogue, library)
     report("fitting all rows")
     diagnosis = _concluded(base, system, tuple(rounds), checks, left)
-    held = _held_words([fit] if isinstance(fit, Experiment) else fit, model)
-    return replace(diagnosis, remarks=(*held, *diagnosis.remarks))
-
-
-def _held_words(experiments: Sequence[Experiment], model: Model) -> list[str]:
-    """Say which outputs are read more seldom than there are rows, and held in between."""
-    rows = {n: max(held_rows(e.channels[n])[1] for e in experiments) for n in model.output_names}
-    return [
+    said = [
         f"{name} is read every {every} rows and held in between: only rows with a new reading "
         "are fitted and scored"
-        for name, every in rows.items()
-        if every > 1
+        for name, every in held.items()
     ]
+    return replace(diagnosis, remarks=(*said, *diagnosis.remarks))
 
 
 def _with_drift(

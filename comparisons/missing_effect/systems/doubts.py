@@ -64,7 +64,7 @@ LEAST_ARREARS = 0.1
 LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
 # An error this many times what is new in each sample is hardly more than that.
 BARELY = 1.1
-# Of its square, where a square with the sign of the signal is as good as one without.
+# A signal hardly changes its sign where |Σ x|x|| is at least this share of Σ x².
 ALIKE = 0.9
 # A signal is said to be followed where chance does as well this seldom.
 FOLLOWED_P = 0.05
@@ -111,9 +111,10 @@ def doubts_of(
         are = "is" if len(unknown) == 1 else "are"
         out.append(f"{' and '.join(unknown)} {are} not known{would_do}")
     before, after, noise = errors
-    if _more_than_half(before, after, noise):
-        out.append("more than half of the error on the rows fitted stays")
-    out += _left_on(checks, noise)
+    stays = _left_on(checks, noise)
+    if not stays and _more_than_half(before, after, noise):
+        stays = ["more than half of the error on the rows fitted stays"]
+    out += stays
     if step.rivalled:
         out.append("a term without a name explains more")
     elif _outfitted(step, winner):
@@ -296,7 +297,7 @@ def _signals(model: Model, experiments: Sequence[Experiment], fit: Fit) -> list[
 
 
 def one_sided(fit: Fit, records: Records) -> frozenset[int]:
-    """Return which signals keep their sign, so that an odd law of them is an even one as well."""
+    """Return which signals hardly change their sign: odd laws of them are even ones as well."""
     every = np.concatenate(_signals(records.model, records.whole, fit))
     alike = np.abs(np.sum(every * np.abs(every), axis=0)) >= ALIKE * np.sum(every**2, axis=0)
     return frozenset(np.flatnonzero(alike).tolist())

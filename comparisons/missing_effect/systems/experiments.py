@@ -10,12 +10,15 @@ import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import require
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 FEWEST_ROWS = 40
 FEWEST_READINGS = 10
-# By chance so many changes lie a whole number of two rows apart once in half a million records.
-FEWEST_CHANGES = 20
+# So many values no relay has; by chance all their changes lie two rows apart, or a multiple of
+# that, once in half a million records.
+FEWEST_VALUES = 20
+# Of the jumps of an input that is held. Of one that is drawn as one of two in each row it is half.
+REPEATED = 0.4
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it
 # to well below the noise of any record here.
 BAND_FACTOR = 4
@@ -91,7 +94,7 @@ class Experiment:
         return next(iter(self.channels.values())).size
 
     def of(self, model: Model) -> Experiment:
-        """Return the run with what a model needs, checked; a reading that is held counts once.
+        """Return the run with what a model needs, checked.
 
         Parameters
         ----------
@@ -118,12 +121,7 @@ class Experiment:
         for name in model.output_names:
             moves = float(np.ptp(self.read(name))) > 0.0
             self.require(moves, name, "an output that changes", "a constant")
-        channels = {name: self.channels[name] for name in wanted}
-        for name in model.output_names:
-            first, every = held_rows(channels[name])
-            fresh = np.arange(self.n_samples) % every == first % every
-            channels[name] = np.where(fresh, channels[name], np.nan)
-        return replace(self, channels=channels)
+        return replace(self, channels={name: self.channels[name] for name in wanted})
 
     def read(self, name: str, which: str = "") -> FloatArray:
         """Return the readings of an output in some part of it, refused where they are too few."""
@@ -147,24 +145,50 @@ class Experiment:
         return np.column_stack([self.channels[name] for name in names])
 
 
-def held_rows(values: FloatArray) -> tuple[int, int]:
-    """Return in which row an output first changes, and the number of rows that it is held for."""
-    changed = np.flatnonzero(np.diff(values)) + 1
-    if changed.size < FEWEST_CHANGES:
-        return 0, 1
-    return int(changed[0]), int(np.gcd.reduce(np.diff(changed)))
+def _changes(values: FloatArray) -> IntArray:
+    """Return the rows with another finite value than the row before."""
+    with np.errstate(invalid="ignore"):
+        return 1 + np.flatnonzero(np.abs(np.diff(values)) > 0.0)
+
+
+def held_rows(name: str, fit: Sequence[Experiment], check: Sequence[Experiment]) -> int:
+    """Return for how many rows an output is held after each reading in all runs; 1 if it is not.
+
+    It changes after most of them, and what is fitted has readings enough without the repeats.
+    """
+    runs = (*fit, *check)
+    changed = [_changes(e.channels[name]) for e in runs]
+    every = int(np.gcd.reduce(np.concatenate([[0], *(np.diff(rows) for rows in changed)])))
+    readings = sum(e.n_samples for e in runs) / max(every, 1)
+    values = np.unique(np.concatenate([e.read(name) for e in runs]))
+    often = sum(rows.size for rows in changed) > 0.5 * readings
+    enough = all(e.n_samples > 3 * FEWEST_READINGS * every for e in fit)
+    return every if often and enough and values.size >= FEWEST_VALUES else 1
+
+
+def without_repeats(experiment: Experiment, held: Mapping[str, int]) -> Experiment:
+    """Return a run whose held outputs are no number but where they are read."""
+    channels = dict(experiment.channels)
+    for name, every in held.items():
+        first = _changes(channels[name])[:1]
+        fresh = (np.arange(experiment.n_samples)[:, None] - first) % every == 0
+        channels[name] = np.where(fresh.all(axis=1), channels[name], np.nan)
+    return replace(experiment, channels=channels)
 
 
 def is_held(values: FloatArray) -> bool:
-    """Tell whether an input was held between its samples: it repeats itself, then jumps.
+    """Tell whether an input is held between its rows: it jumps, and stays where it is then.
 
-    Most rows have the value of the row before, and a jump is as large as the input's own swing: a
-    reading of a few bits repeats itself as well, and moves by little.
+    A jump is as large as the input's own swing: a reading of a few bits stays as well, and moves by
+    little; a pulse moves on.
     """
-    moved = np.diff(values)
-    jumps = moved[moved != 0.0]
-    far = jumps.size == 0 or float(np.sqrt(np.mean(jumps**2))) >= float(np.std(values))
-    return far and jumps.size < 0.5 * moved.size
+    changed = _changes(values)
+    if not changed.size:
+        return True
+    jumps = values[changed] - values[changed - 1]
+    inner = changed[changed < values.size - 1]
+    stays = np.mean(values[inner + 1] == values[inner]) if inner.size else 1.0
+    return bool(np.sqrt(np.mean(jumps**2)) >= np.std(values) and stays >= REPEATED)
 
 
 def input_pieces(values: FloatArray, how: str) -> FloatArray:

@@ -65,7 +65,8 @@ class Model(Displayed):
     exact : sequence of str
         States whose equation is a definition, such as dq/dt = v: nothing is ever added there.
     input_between_samples : {"auto", "held", "linear", "cubic", "band"}
-        How inputs run between samples; ``"auto"`` keeps what foretells the check part best.
+        How inputs run between samples; ``"auto"``: held where all show it, else what foretells the
+        check part best.
     x0 : mapping of str to float, (float, float) or "first"
         What is known of the state at the start of a record: a value, a value with its standard
         deviation, or the first sample of the output of that name. The start is always estimated.

@@ -237,8 +237,8 @@ class Placed:
     def shares_curve_with(self, other: Placed, one_sided: Collection[int]) -> bool:
         """Tell whether two terms of one equation are one curve of a signal.
 
-        Both are odd or even in it; one that keeps its sign, of ``one_sided``, does not tell those
-        apart, and a constant belongs to its curve.
+        Both are odd or even in it; one that hardly changes its sign, of ``one_sided``, does not
+        tell those apart, and a constant belongs to its curve.
         """
         pair = (self, other)
         terms = all(p.effect.kind == Kind.TERM and p.place.other < 0 for p in pair)
@@ -247,7 +247,8 @@ class Placed:
         signals = {p.place.signal for p in pair if p.effect.code != Term.CONSTANT}
         alike = (self.effect.code in ODD) == (other.effect.code in ODD)
         constant = any(p.effect.code == Term.CONSTANT for p in pair)
-        return len(signals) == 1 and (signals <= set(one_sided) or (alike and not constant))
+        one = len(signals) == 1 and min(signals) >= 0
+        return one and (signals <= set(one_sided) or (alike and not constant))
 
     @property
     def _channel(self) -> tuple[bool, int]:

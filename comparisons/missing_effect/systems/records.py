@@ -94,13 +94,13 @@ class Records:
 
     @property
     def between(self) -> str:
-        """How inputs run between samples: as the model says, held where they show it, or open.
+        """How inputs run between samples: as the model says, held where all show it, or open.
 
         What is late by half a sample looks like another way between the samples of a staircase.
         """
-        wanted = self.model.input_between_samples
-        held = all(is_held(e.channels[name]) for e in self.whole for name in self.model.input_names)
-        return "held" if wanted == "auto" and held else wanted
+        wanted, names = self.model.input_between_samples, self.model.input_names
+        held = all(is_held(e.channels[name]) for e in self.whole for name in names)
+        return "held" if wanted == "auto" and names and held else wanted
 
     @property
     def shortened(self) -> bool:

@@ -145,6 +145,7 @@ def test_what_is_held_between_rows_is_no_lag(case: str) -> None:
         MOTOR, *(motor(seed, n, wanted, *how) for seed, n in ((1, 1500), (2, 800)))
     )
     assert [item.label for item in found.missing] == ["transport_delay(V) in V"] * (case == "late")
+    assert ("read every 4 rows" in " ".join(found.remarks)) == (how[-1] == 4)
     for row, truth in zip(found.parameters, wanted, strict=True):
         assert abs(row.after - truth) < 4.0 * row.after_stderr < 0.05 * truth
     for delay in (n for item in found.missing for n in item.parameters):

@@ -13,7 +13,12 @@ from scipy.signal import lfilter
 
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
-from comparisons.missing_effect.systems.experiments import Experiment, all_pass
+from comparisons.missing_effect.systems.experiments import (
+    Experiment,
+    all_pass,
+    held_rows,
+    is_held,
+)
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
@@ -157,6 +162,45 @@ def test_a_slower_output_and_an_outage_leave_the_name() -> None:
 FILTERS = [(0.3, 0.05), (1.0, 0.4), (2.5, 1.5), (-0.8, 0.2)]
 # Rows at either end that the prolongation of the record may disturb.
 EDGE = 100
+
+
+INPUTS = {
+    "two levels": (lambda rng: np.repeat(rng.choice([-1.0, 1.0], 200), 5), True),
+    "a level for two rows": (lambda rng: np.repeat(rng.standard_normal(401), 2)[:-1], True),
+    "two levels, drawn in each row": (lambda rng: rng.choice([-1.0, 1.0], 801), True),
+    "noise": (lambda rng: rng.standard_normal(800), False),
+    "rounded pulses": (lambda _: np.tile(np.r_[np.hanning(12)[1:-1], np.zeros(60)], 12), False),
+    "a sine of few bits": (lambda _: np.round(8.0 * np.sin(np.arange(800) / 40.0)), False),
+}
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+def test_an_input_is_held_where_it_jumps_and_stays(kind: str) -> None:
+    made, wanted = INPUTS[kind]
+    assert is_held(made(np.random.default_rng(0))) is wanted
+
+
+def test_an_output_is_held_where_its_repeats_are_regular() -> None:
+    rng = np.random.default_rng(1)
+    read = np.repeat(rng.standard_normal(300), 4)
+    gap = read.copy()
+    gap[500] = np.nan
+    relay, turns = (
+        np.repeat(np.tile([1.0, -1.0], 30), 20),
+        np.round(20 * np.sin(np.arange(900) / 9)),
+    )
+
+    def rows(*outputs: np.ndarray) -> int:
+        runs = [Experiment("one", 1.0, {"y": y}) for y in outputs]
+        return held_rows("y", runs[:1], runs[1:])
+
+    assert [rows(y) for y in (read, gap, read[1:], read[:100])] == [4, 4, 4, 1]
+    assert [rows(read, read[:78]), rows(relay), rows(turns), rows(rng.standard_normal(900))] == [
+        4,
+        1,
+        1,
+        1,
+    ]
 
 
 def smooth(n: int = 1500, seed: int = 0) -> np.ndarray:
