@@ -61,6 +61,7 @@ FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
 STILL_FORETOLD = "inputs and states still foretell the error that is left"
+BESIDE_UNNAMED = "a term without a name had to stand beside it, for which it may stand in"
 
 Progress = Callable[[str], None]
 
@@ -226,11 +227,12 @@ def _concluded(
         _found(after, after_cov, r, p, records, checked, beyond, left, errors, names)
         for r, p in won
     )
-    if left.structured:
-        # A name beyond the first may stand in for what is left; so may the first, without a check
-        # record to prove it.
-        sure = 1 if checks else 0
-        later = [item if item.unnamed else item.doubted(STILL_FORETOLD) for item in missing[sure:]]
+    unnamed = any(item.unnamed for item in missing)
+    if left.structured or unnamed:
+        # A name beyond the first may stand in for what is left, or for what has no name; so may the
+        # first, without a check record to prove it.
+        sure, why = (1 if checks else 0), STILL_FORETOLD if left.structured else BESIDE_UNNAMED
+        later = [item if item.unnamed else item.doubted(why) for item in missing[sure:]]
         missing = (*missing[:sure], *later)
     # What acts in the training rows as well does not act in a check record alone.
     apart = () if left.structured else checked
@@ -311,7 +313,7 @@ def _found(
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
     doubts = doubts_of(step, placed, numbers, checks, model, left, errors)
-    doubts += doubts_beside(placed, found, left, model, checks, one_sided(fit, records))
+    doubts += doubts_beside(placed, numbers, found, left, model, checks, one_sided(fit, records))
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
     doubts += tuple(filter(None, [at_bound(fit, placed)]))
     confirm = {placed.label(model): placed.words(model).confirm}

@@ -190,6 +190,7 @@ def _left_on(checks: Sequence[CheckRun], noise: FloatArray) -> list[str]:
 
 def doubts_beside(
     placed: Placed,
+    numbers: Sequence[FittedParameter],
     found: Sequence[Placed],
     left: Leftover,
     model: Model,
@@ -211,7 +212,7 @@ def doubts_beside(
         label = plain_name(one.label(model))
         if one.unnamed and placed.bends_as(one):
             out.append(f"{label} had to stand beside it, so that its own shape is not sure")
-        elif placed.shares_curve_with(one, one_sided) and not _jumps(placed):
+        elif placed.shares_curve_with(one, one_sided) and not _jumps(placed, numbers):
             out.append(f"{label} bends the same curve, and one law that was not tried may do both")
         elif placed.is_late_with(one):
             out.append(f"{label} is late as well, and one lag of a higher order may do both")
@@ -236,9 +237,14 @@ def _level_of(placed: Placed, model: Model) -> str:
     return ""
 
 
-def _jumps(placed: Placed) -> bool:
-    """Tell whether a term jumps where its signal changes sign, which no other law does."""
-    return placed.name in ("coulomb_friction", "stribeck_friction")
+def _jumps(placed: Placed, numbers: Sequence[FittedParameter]) -> bool:
+    """Tell whether a term jumps where its signal changes sign, which no other law does.
+
+    One whose width is known to be there bends as others do.
+    """
+    if placed.name not in ("coulomb_friction", "stribeck_friction"):
+        return False
+    return not any(n.value > FIRM_ERRORS * n.stderr for n in numbers if n.name == "width")
 
 
 def _known(size: FloatArray) -> FloatArray:

@@ -16,6 +16,8 @@ ANGLES = ("rad", "mrad", "deg", "°", "rev", "turn", "rpm")
 
 def _powers(unit: str) -> dict[str, Fraction]:
     """Return the symbols of a unit with their powers; what cannot be read is a symbol itself."""
+    if unit.strip() == "-":
+        return {}
     plain = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda m: "^" + m[0].translate(SUPERSCRIPTS), unit)
     groups: list[tuple[dict[str, Fraction], int]] = [({}, 1)]
     sign, at = 1, 0

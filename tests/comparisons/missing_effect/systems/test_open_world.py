@@ -30,11 +30,11 @@ def slow_signal(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def oscillator(
-    seed: int, n: int, hidden: float, colour: str = "white", slew: float = np.inf
+    seed: int, n: int, hidden: float, colour: str = "white", slew: float = np.inf, rub: float = 0.0
 ) -> Experiment:
-    """x'' = u − 0.3 x' − x + hidden·x²·x', read with 1 % of noise; Runge–Kutta of its own.
+    """x'' = u − 0.3 x' − x + hidden·x²·x' − rub ± √abs(x'), read with 1 % of noise.
 
-    The drive of u is no faster than ``slew``.
+    Runge–Kutta of its own; the drive of u is no faster than ``slew``.
     """
     rng = np.random.default_rng(seed)
     asked = 1.5 * slow_signal(rng, n)
@@ -48,7 +48,8 @@ def oscillator(
             at = [u[k] + (u[min(k + 1, n - 1)] - u[k]) * (part + s) / 10.0 for s in (0.0, 0.5, 1.0)]
 
             def rate(y: np.ndarray, push: float) -> np.ndarray:
-                return np.array([y[1], push - 0.3 * y[1] - y[0] + hidden * y[0] ** 2 * y[1]])
+                push += hidden * y[0] ** 2 * y[1] - rub * np.sign(y[1]) * np.sqrt(abs(y[1]))
+                return np.array([y[1], push - 0.3 * y[1] - y[0]])
 
             h = PERIOD_S / 10.0
             a = rate(state, at[0])
@@ -103,6 +104,11 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
     runs = [oscillator(seed, n, 0.0, slew=0.8) for seed, n in ((45, 1200), (95, 600))]
     found = diagnose_model(LINEAR, *runs)
     assert (firm(found), found.verdict == "nothing_missing") == ([], False)
+
+
+def test_a_friction_that_does_not_jump_is_not_coulombs() -> None:
+    runs = [oscillator(seed, n, 0.0, rub=0.5) for seed, n in ((46, 1500), (96, 800))]
+    assert not [label for label in firm(diagnose_model(LINEAR, *runs)) if "coulomb" in label]
 
 
 MOTOR = Model(
