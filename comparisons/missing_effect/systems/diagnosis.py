@@ -492,8 +492,8 @@ def _remarks(
     elif badly and not gone:
         out.append(
             f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
-            "simulated, and nothing fitted explains it: what is missing acts there alone. Give "
-            "training records in which it acts."
+            "simulated, and nothing fitted explains it: what is missing acts there alone, or a "
+            "parameter has another value there. Give training records in which that is so."
         )
     last = rounds[-1] if rounds else None
     labels = {item.label for item in missing} | {placed.label(model) for placed in gone}
