@@ -75,6 +75,9 @@ def test_blocks_are_whole_and_lie_in_one_part() -> None:
     assert rows.n_fitted == np.count_nonzero(valid[:N_TRAIN])
     assert rows.has_other
     assert not rows_of(parts(other=False)).has_other
+    # A part too short for two blocks still has two: nothing is judged by a single number.
+    short = Rows.of(np.array([LATER] * 30, dtype=np.int8), np.ones(30, dtype=bool), BLOCK)
+    assert short.block.max() == 1
 
 
 @pytest.mark.parametrize("added", [1, 3])
