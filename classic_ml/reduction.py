@@ -34,7 +34,6 @@ from classic_ml.segments import (
     free_run_rows,
     hub_tip_stall,
     segment,
-    shows_stall,
     window_rows,
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
@@ -323,9 +322,7 @@ def _with_states(
     """Add the stall state, the segments to be fitted and the rows of the free run."""
     rows, found = window.rows, window.entry.parameters["origin"] == "found"
     period_s, has_cells = cell_period_s(unfiltered, rows)
-    stalled = None
-    if shows_stall(unfiltered, rows):
-        stalled = hub_tip_stall(unfiltered, rows, 1.0 / period_s)
+    stalled = hub_tip_stall(unfiltered, rows, 1.0 / period_s)
     record, threshold = _segmented(record, unfiltered, test, settings, window, stalled)
     in_stall = record["in_stall"] > 0.5
     parameters: dict[str, str | int | float | bool] = {"stall_rule": "hub-tip"}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
+from classic_ml.flow import IMPOSSIBLE_SHARE
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
 from classic_ml.io.table import NOT_FINITE_REMEDY, StoredTable
@@ -289,7 +290,10 @@ def _check_readings(
     values: FloatArray,
     rows_before: int,
 ) -> None:
-    """Refuse what is no number, codes that the converter does not have, and what no gas has."""
+    """Refuse what is no number, codes that the converter does not have, and what no gas has.
+
+    Of the last a few rows are spikes, which are marked and left out later.
+    """
     low, high, possible, remedy = -np.inf, np.inf, "", "check the unit of the column"
     if isinstance(channel, CountChannel):
         low, high = 0.0, float(test.adc.top_code)
@@ -304,7 +308,11 @@ def _check_readings(
     if low <= values.min() and values.max() <= high and np.isfinite(values.max()):
         return
     finite = np.isfinite(values)
-    row = int(np.argmin(finite if not finite.all() else (low <= values) & (values <= high)))
+    good = finite if not finite.all() else (low <= values) & (values <= high)
+    few = np.count_nonzero(~good) <= IMPOSSIBLE_SHARE * good.size
+    if few and finite.all() and channel is not None and not isinstance(channel, CountChannel):
+        return
+    row = int(np.argmin(good))
     title = f"column {test.file.time}" if channel is None else _title(channel)
     unit = " Pa" if channel is not None and channel.record_unit == "Pa" else ""
     raise InputError(

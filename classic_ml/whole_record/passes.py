@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from classic_ml.filters import period_average
-from classic_ml.segments import PLAIN_PERIOD_S, near, threshold_between
+from classic_ml.segments import PLAIN_PERIOD_S, near, stall_by_shift
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
 from surge_core.segments import intervals_where, runs_of
@@ -175,8 +175,7 @@ def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
     state = np.ones(flow.size, dtype=np.bool_)
     if shift is not None and usable.any():
         shift = period_average(shift, period_s, rate_hz)
-        before = shift[: max(int(reversed_[0]) if reversed_.size else 1, 1)]
-        state = _by_hub_and_tip(shift, usable, float(np.median(before)))
+        state, _ = stall_by_shift(shift, usable, int(reversed_[0]) if reversed_.size else 0)
         state = _without_short(state, round(SHORTEST_STATE_S * rate_hz))
     for start, stop in intervals_where(~state).tolist():
         if stop - start > LONGEST_QUIET_S * rate_hz:
@@ -218,18 +217,6 @@ def _first_forward(flow: FloatArray, reversed_: IntArray, rate_hz: float) -> int
     first = int(reversed_[0])
     back = np.flatnonzero((slow[first + 1 :] > 0.0) & (slow[first:-1] <= 0.0))
     return first + 1 + int(back[0]) if back.size else first
-
-
-def _by_hub_and_tip(shift: FloatArray, usable: BoolArray, unstalled: float) -> BoolArray:
-    """Return the state by the hub-minus-tip flow: beyond the middle of its two levels."""
-    own = shift[usable]
-    own = np.clip(own, *np.percentile(own, [2.0, 98.0]))
-    between = threshold_between(own)
-    high, low = float(np.median(own[own > between])), float(np.median(own[own <= between]))
-    # Both parts far above the level before surge: the machine never left stall.
-    if low - unstalled > 0.4 * (high - unstalled):
-        high = float(np.median(own))
-    return np.asarray(shift > 0.5 * (unstalled + high))
 
 
 def _without_short(state: BoolArray, fewest: int) -> BoolArray:

@@ -13,6 +13,7 @@ import numpy as np
 from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient
 from classic_ml.description import Compressor, TestDescription
+from classic_ml.faults.search import SPIKED
 from classic_ml.flow import (
     T_STANDARD_K,
     choked_flow,
@@ -294,7 +295,8 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
             continue
         noise = []
         for probe in (pair.forward, pair.aft):
-            counts &= record.marks(probe.name) == 0
+            # Across a spike, of one or two rows, there is a straight line.
+            counts &= record.marks(probe.name) & ~np.uint8(SPIKED) == 0
             steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
             noise.append(float(np.std(steps) / np.sqrt(GAIN)))
         law = pair.forward.probe_slope, pair.forward.probe_offset

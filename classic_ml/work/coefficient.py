@@ -294,6 +294,12 @@ def _setup(
     rows = slice(int(inside[0]), int(inside[-1]) + 1)
     cell_hz = cell_frequency_hz(record, rows)
     stalled = hub_tip_stall(record, rows, cell_hz)
+    if stalled is None:
+        raise InputError(
+            f"{record.source}: plane 25",
+            expected="hub and tip that pass other shares of the flow in stall than out of it",
+            found="shares that hardly move",
+        )
     onsets = np.diff(stalled.astype(np.int64), prepend=int(stalled[0])) > 0
     impossible = impossible_rows(record, test)
     share = float(np.mean(impossible[rows]))

@@ -102,11 +102,12 @@ def _quotable(
     """
     if spread_speeds(records) or not all(map(_is_clean_run, records)):
         return ()
+    first = [result for result in results if result.name == "classic_ml"]
     # Where `classic_ml` cannot tell, the others are not believed alone: they know no twins.
-    if any(result.name == "classic_ml" and result.state in WITHHOLDING for result in results):
+    if any(result.state in WITHHOLDING for result in first):
         return ()
     found = [
-        result.name
+        result
         for result in results
         if result.whole_run is not None
         and result.converged
@@ -114,8 +115,11 @@ def _quotable(
         and result.model.measured
         and not {"phi_coverage", "input_correlation"}.intersection(result.failed)
     ]
+    # Where it lacks something, another with the same curve lacks it too (13.8 ± 0.8 ms for 20).
+    lacking = [each.model.terms for each in first if each not in found]
+    names = [each.name for each in found if each.model.terms not in lacking]
     # The paper's estimator leads where both may be quoted.
-    return tuple(sorted(found, key=lambda name: name != "classic_ml"))
+    return tuple(sorted(names, key=lambda name: name != "classic_ml"))
 
 
 def _is_clean_run(record: CoefficientSeries) -> bool:

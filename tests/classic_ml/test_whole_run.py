@@ -262,6 +262,7 @@ def test_every_row_left_out_of_the_free_run_is_named_once() -> None:
     assert has_cells
     assert period_s == pytest.approx(PERIOD_S, rel=0.01)
     state = hub_tip_stall(record, window, 1.0 / period_s)
+    assert state is not None
     assert np.mean(state == stalled) > 0.95
     free_run, entry = free_run_rows(record, state, window, period_s)
     assert sum(d.count for d in entry.dropped) + np.count_nonzero(free_run == 2) == N_ROWS
