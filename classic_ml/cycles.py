@@ -84,7 +84,7 @@ def find_cycles(record: Record) -> SurgeCycles:
         raise InputError(
             f"{record.source}: P31",
             expected="surge cycles after the first reversal of the flow",
-            found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
+            found=f"no rise of P31 by {LEAST_SWING:.0%} of its mean with a fall behind it",
             remedy="take a record, or a part, that surges: `sindy-surge inspect` says when it does",
         )
     deep = deep_ones(rises)
@@ -153,8 +153,7 @@ def _first_negative(record: Record) -> int:
     raise InputError(
         f"{record.source}: plane 25",
         expected="reversed flow, with which every deep surge begins",
-        found="no surge in the record, the corrected flow stays above "
-        f"{flow.min() / LBM_KG:.1f} lbm/s",
+        found=f"a corrected flow that stays above {flow.min() / LBM_KG:.1f} lbm/s",
         remedy="check units and zero readings of the probes at plane 25; `sindy-surge inspect` "
         "says whether and when P31 swings",
     )

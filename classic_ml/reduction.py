@@ -339,10 +339,11 @@ def _with_states(
             f"{1e3 * period_s:g} ms",
         )
     differ = float(np.mean(in_stall[rows] != stalled[rows]))
+    estimated = settings.threshold_lbm_s is None and test.threshold_lbm_s is None
     if threshold is not None and differ > REGIMES_DIFFER:
         flags += (
-            f"the threshold of {threshold:g} lbm/s gives another regime than hub and tip do in "
-            f"{differ:.0%} of the window: is it in lbm/s?",
+            f"the threshold of {threshold:.4g} lbm/s gives another regime than hub and tip do in "
+            f"{differ:.0%} of the window{'' if estimated else ': is it in lbm/s?'}",
         )
     # A stated window is not extended.
     inside = extend_while_settled(unfiltered, rows) if found else rows

@@ -127,6 +127,8 @@ def _mistake(error: Mapping[str, Any], model: type[BaseModel], data: Any) -> _Mi
         return _Mistake(at, expected, "nothing", "")
     extra = field.json_schema_extra if field else None
     remedy = str(extra.get("remedy", "")) if isinstance(extra, dict) else ""
+    if kind in ("float_type", "float_parsing"):
+        remedy = "write the number alone"
     return _Mistake(at, expected, _shown(error["input"]), remedy)
 
 

@@ -91,12 +91,21 @@ def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agre
 def disagreements(
     slow: SlowPressures, test: TestDescription, agreements: Mapping[str, Agreement]
 ) -> list[str]:
-    """Return the probes in use, matched near stall, that do not go with those beside them."""
+    """Return the probes in use, matched near stall, that do not go with those beside them.
+
+    One that moves as another rake does at the same immersion shows the gas there, and no fault.
+    """
+    places = alike(test.pressures, "plane", "immersion", "facing")
+    beside = {name: set(group) - {name} for group in places for name in group}
     gains = [
         f"{name} moves {found.gain:.2f} times as much as the probes beside it, {found.apart:.0%} "
         "apart from them: check its zero and calibrate readings"
         for name, found in agreements.items()
         if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
+        if all(
+            abs(agreements[other].gain - found.gain) > 0.5 * GAIN_DOUBTED
+            for other in beside[name] & agreements.keys()
+        )
     ]
     return [*gains, *_drifted_apart(slow, test)]
 

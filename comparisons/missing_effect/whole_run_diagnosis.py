@@ -45,6 +45,11 @@ NO_TWINS = "no twins of the record were measured"
 NO_MEASURE = "twins of these records, measured or not, are no measure of it"
 # Twice a wrong ∫dx/A was firm at 2.5 and 2.8, on machines whose twins lack a part of their errors.
 FIRM_Z = 3.0
+# A name that closes less of the gap between the model and its twins leaves more than it explains,
+# and something else may be there: clean records of another rig, whose unstalled branch has a
+# corner, bore names that closed 0.25 to 0.44 of it, late planes and drifts 0.7 and more.
+LEAST_CLOSED = 0.5
+MORE_STAYS = "more than half of what the model leaves beyond its twins stays"
 FEW_CYCLES = f"on the cycles left out it wins by fewer than {FIRM_Z:g} standard errors"
 REVERSED = "reverse_flow_branch"
 ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
@@ -104,7 +109,7 @@ def diagnose_whole_runs(
         item
         if item.provisional
         or not (
-            why := _doubt(i, sets[item.effect], base, nulls)
+            why := _doubt(i, sets[item.effect], base)
             or _nameless(sets[item.effect], base, catalogue)
         )
         else item.doubted(why)
@@ -143,12 +148,13 @@ def _of_leader(bench: WholeRuns, effects: Sequence[Effect]) -> FloatArray:
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _doubt(place: int, members: Sequence[LagCandidate], bench: Bench, nulls: Nulls) -> str:
+def _doubt(place: int, members: Sequence[LagCandidate], bench: WholeRuns) -> str:
     """Say why a set is not firm; nothing where one of it is beyond its null.
 
-    That asks for the first set, a record that decides about it, and most of its cycles.
+    That asks for the first set, a record that decides about it, most of its cycles and most of the
+    gap.
     """
-    by_effect = nulls.by_effect
+    by_effect = bench.nulls.by_effect
     # Blocks that speak by themselves do not make up for it: of four cycles three were loud for a
     # second lag, at 2.4 standard errors, where the curve had a kink.
     beyond = [
@@ -160,7 +166,10 @@ def _doubt(place: int, members: Sequence[LagCandidate], bench: Bench, nulls: Nul
     ]
     if place or not beyond:
         return NO_MEASURE
-    return "" if any(beyond) else FEW_CYCLES
+    if not any(beyond):
+        return FEW_CYCLES
+    gap = 1.0 - (bench.nulls.rms / rms_left(bench)) ** 2
+    return MORE_STAYS if members[0].evidence.share < LEAST_CLOSED * gap else ""
 
 
 def _nameless(

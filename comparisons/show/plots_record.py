@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -239,8 +240,10 @@ def validation(validated: Sequence[Reconstruction]) -> Picture:
 
 
 def errors_in_time(comparison: Comparison) -> Picture:
-    """Draw what the free run of each estimator leaves, over time, all to one scale."""
-    rows, results = comparison.rows, comparison.results
+    """Draw what the free run of each estimator with a τ leaves, over time, all to one scale."""
+    rows = comparison.rows
+    states_tau = [r for r in comparison.results if math.isfinite(r.model.time_constant_s)]
+    results = states_tau or comparison.results
     # Records of one test keep their order on the clock; others may overlap, so rows are counted.
     by_clock = bool(np.all(np.diff(rows.time_s) > 0.0))
     axes: dict[str, FloatArray] = {}
