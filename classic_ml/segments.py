@@ -225,10 +225,12 @@ def stall_by_shift(shift: FloatArray, inside: BoolArray, n_before: int) -> tuple
     between = threshold_between(own)
     high, low = float(np.median(own[own >= between])), float(np.median(own[own <= between]))
     sign = 1.0 if high + low > 0.0 else -1.0
-    near_level, far = sorted((sign * low, sign * high))
-    # Both parts far from the level before surge: the machine never left stall.
-    if near_level > 0.4 * far:
-        far = sign * float(np.median(own))
+    middle, far = sign * float(np.median(own)), max(sign * high, sign * low)
+    # Where the machine never leaves stall both levels are of stall; where it mostly is in stall
+    # the middle row is.
+    near_level = min(sign * high, sign * low)
+    if near_level > 0.4 * far or middle > sign * between:
+        far = middle
     return np.asarray(sign * (shift - unstalled) > 0.5 * far), far
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from classic_ml.records import counted
 from classic_ml.reduction import Reduction, reduce_record
 from classic_ml.whole_record_fit import N_TWINS
 from classic_ml.work.coefficient import WorkCharacteristic
-from comparisons.harness.answer import TauReading, answer_of
+from comparisons.harness.answer import APART, TauReading, answer_of
 from comparisons.harness.cautions import unknown_work
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
@@ -155,6 +156,9 @@ def analyse(
         readings.append(TauReading("work", work.time_constant_s, work.time_constant_stderr_s))
         if why := why_withheld(work):
             refusals["work"] = f"ψ_QS and its τ are not stated: {why}"
+        elif _contradicts(comparison, work):
+            # Both have one lag (Eq 6 and 14): with another, what was fitted is no curve.
+            refusals["work"] = "ψ_QS is not stated: its τ is not that of ψ'"
     missing = missing_words(diagnosis) if diagnosis else f"not known: {refusals['diagnose']}"
     chosen = comparison.recommended and comparison.first.model.ci95_s
     named = diagnosis is not None and diagnosis.tau_said[1] in missing
@@ -166,7 +170,7 @@ def analyse(
         readings=readings,
         verdict=diagnosis.verdict if diagnosis else "",
         missing=missing,
-        work=_work_words(work),
+        work="" if "work" in refusals else _work_words(work),
         # Why ψ is not known the comparison says, from the ledger.
         refused=[
             f"{step}: {why}"
@@ -177,9 +181,17 @@ def analyse(
     return Analysis(answer, inspection, reduction, comparison, structure, diagnosis, work, refusals)
 
 
+def _contradicts(comparison: Comparison, work: WorkCharacteristic) -> bool:
+    """Tell whether the τ of ψ is not the one to quote."""
+    model = comparison.first.model
+    apart_s = abs(work.time_constant_s - model.time_constant_s)
+    error_s = math.hypot(work.time_constant_stderr_s, model.time_constant_stderr_s)
+    return bool(comparison.recommended) and apart_s > APART * error_s
+
+
 def _work_words(work: WorkCharacteristic | None) -> str:
     """Return ψ_QS at the ends of its φ; nothing where it is not stated."""
-    if work is None or not np.all(np.isfinite((work.time_constant_s, *work.valid_phi))):
+    if work is None:
         return ""
     ends = zip(work.valid_phi, *work.characteristic(np.array(work.valid_phi)), strict=True)
     at = [f"{round_to_error(value, error)} at φ = {phi:.3f}" for phi, value, error in ends]
