@@ -12,6 +12,7 @@ import pytest
 from raw_data import RawTest, make_test, pascals_of, to_toml, write_csv
 
 from classic_ml.description import COUNT_KEYS
+from classic_ml.faults.search import inspect_readings
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -98,6 +99,9 @@ def test_no_pressure_is_below_nothing(
 ) -> None:
     columns, tables = in_other_units(made, unit)
     columns["P25_A_tip_aft"][300] = value
+    one = inspect_readings(*read_raw(*write(tmp_path, columns, tables)))
+    assert np.flatnonzero(one.marks("P25_A_tip_aft")).tolist() == [300]
+    columns["P25_A_tip_aft"][300:400] = value
     with pytest.raises(
         InputError, match=r"P25_A_tip_aft: .* above 0 Pa, found .* in row 301; .* reference_Pa"
     ):
