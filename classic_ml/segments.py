@@ -213,11 +213,14 @@ def _cell_line(record: Record, window: slice) -> tuple[float, float]:
     return cell_hz, float(density[np.argmin(np.abs(frequency - cell_hz))] / np.median(around))
 
 
-def stall_by_shift(shift: FloatArray, inside: BoolArray, n_before: int) -> tuple[BoolArray, float]:
+def stall_by_shift(
+    shift: FloatArray, inside: BoolArray, n_before: int, *, by_median: bool = False
+) -> tuple[BoolArray, float]:
     """Return the in-stall state by the hub-minus-tip flow, and how far stall moves that.
 
     In stall it is beyond the middle between its level before the surge, in ``n_before`` rows, and
-    the farther of its two levels ``inside``, whichever immersion passes more.
+    the farther of its two levels ``inside``, whichever immersion passes more; ``by_median`` that is
+    the median of all rows where most are in stall.
     """
     unstalled = float(np.median(shift[:n_before])) if n_before else 0.0
     own = shift[inside] - unstalled
@@ -226,10 +229,9 @@ def stall_by_shift(shift: FloatArray, inside: BoolArray, n_before: int) -> tuple
     high, low = float(np.median(own[own >= between])), float(np.median(own[own <= between]))
     sign = 1.0 if high + low > 0.0 else -1.0
     middle, far = sign * float(np.median(own)), max(sign * high, sign * low)
-    # Where the machine never leaves stall both levels are of stall; where it mostly is in stall
-    # the middle row is.
-    near_level = min(sign * high, sign * low)
-    if near_level > 0.4 * far or middle > sign * between:
+    # Both levels far from that before the surge: the machine never left stall.
+    never_left = min(sign * high, sign * low) > 0.4 * far
+    if never_left or (by_median and middle > sign * between):
         far = middle
     return np.asarray(sign * (shift - unstalled) > 0.5 * far), far
 
@@ -245,7 +247,8 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray | 
     shift = period_average(shift, 1.0 / cell_hz, record.sample_rate_hz)
     flow = 0.5 * (record["Wc25_hub_kg_s"] + record["Wc25_tip_kg_s"])
     n_before = int(np.argmax(flow < 0.0))
-    state, far = stall_by_shift(shift, _inside(window, shift.size), n_before)
+    inside = _inside(window, shift.size)
+    state, far = stall_by_shift(shift, inside, n_before, by_median=True)
     return state if far > LEAST_SHIFT * float(np.max(flow)) else None
 
 
