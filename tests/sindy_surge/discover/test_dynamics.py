@@ -192,12 +192,6 @@ def test_single_odd_readings_are_refused_or_said():
         SparseDynamics().fit(x, t, None, ["q", "w"])
 
 
-def test_a_missing_state_is_not_called_ok():
-    x, t = van_der_pol(np.random.default_rng(6))
-    model = SparseDynamics().fit([each[:, :1] for each in x], t)
-    assert model.state_.code in ("unexplained", "no_equations")
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("rate", "starts", "noise", "beyond"),
