@@ -251,7 +251,9 @@ def fitted_library(
             expected="a pysindy feature library or a scikit-learn transformer that takes the "
             "inputs",
             found=f"{type(library).__name__}: {error}",
-            remedy="a function in it must be written in Python, as lambda x: np.sin(x)",
+            remedy="a function in it must be written in Python, as lambda x: np.sin(x)"
+            if hasattr(library, "fit") and not isinstance(library, type)
+            else "pass PolynomialLibrary(degree=3), for one",
         ) from error
     if hasattr(fitted, "get_feature_names"):
         names = fitted.get_feature_names(list(input_names))

@@ -25,6 +25,7 @@ from sindy_surge.discover.trajectories import (
     Features,
     Trajectories,
     listed,
+    output_times,
     times_of,
 )
 from sindy_surge.search import Tried
@@ -240,7 +241,7 @@ class SparseDynamics(BaseEstimator):
         from scipy.integrate import solve_ivp
 
         check_is_fitted(self)
-        times, start = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.ravel(x0)
+        times, start = output_times(t), np.ravel(x0)
         features, xi = self._features, self.coef_.T
         as_fitted("x0", start.size, self.state_names_)
         if start.dtype.kind not in "fiu" or not np.isfinite(start).all():
@@ -471,7 +472,7 @@ class SparseDynamics(BaseEstimator):
         )
         columns = (*self.state_names_, *self.input_names_)
         self.beyond_: tuple[str, ...] = ()
-        if self.search == "optimizer" and np.isfinite(best.fit.chi2):
+        if self.search == "optimizer" and best.support and np.isfinite(best.fit.chi2):
             self.state_ = FitState.PROPOSED
         else:
             late_read = late is not None

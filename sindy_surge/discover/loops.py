@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from sindy_surge.discover.loop_balance import Balance, fit_balance
 from sindy_surge.discover.loop_lag import Branch, LagFit, LagRows, fit_one_branch, fit_two_branches
 from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles
+from sindy_surge.discover.trajectories import output_times
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from sindy_surge.text import signed_sum
@@ -121,7 +122,7 @@ class SurgeLoop:
         from scipy.integrate import solve_ivp
 
         times = np.arange(0.0, _CYCLES * self.measured_cycles.period_s, self.sample_period_s)
-        times = times if t is None else np.asarray(t, dtype=np.float64)
+        times = times if t is None else output_times(t)
         state = np.asarray(self.start if x0 is None else x0, dtype=np.float64)
         found, begin = np.full((times.size, 3), np.nan), times[0]
         recover, stall = self.lag.levels or (-np.inf, -np.inf)

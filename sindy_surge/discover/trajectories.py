@@ -169,6 +169,9 @@ def _times(term: str, name: str) -> str:
 
 # Fewer rows than this hold no more than their own noise.
 _FEWEST_ROWS = 20
+# A step so many times the usual one, and those beside it, is a gap, over which nothing is run. Of
+# exponential times one step in a million is so long.
+_GAP = 20.0
 # A spike is so many times what one second difference in a hundred exceeds: 60 standard deviations
 # of noise.
 _SPIKE = 20.0
@@ -179,12 +182,12 @@ LEAST_NOISE = 3.5e-4
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Trajectories one behind the other."""
+    """Trajectories one behind the other, cut at gaps."""
 
     y: FloatArray  # (n_rows, n_states): Measured states
     u: FloatArray  # (n_rows, n_inputs): Inputs
     time_s: FloatArray  # (n_rows,): Time of each row
-    runs: Segments  # The rows of each trajectory
+    runs: Segments  # The rows of each trajectory between gaps
     # (n_inputs,): Inputs held from each row to the next; the others run smoothly through the rows
     held: BoolArray
 
@@ -198,18 +201,23 @@ class Trajectories:
         us = listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
         _same("u", len(us), len(xs), "trajectories")
         _same("t", len(ts), len(xs), "trajectories")
-        times = []
+        times: list[FloatArray] = []
+        parts: list[IntArray] = []
         first: dict[bytes, int] = {}
         for number, (states, inputs, each) in enumerate(zip(xs, us, ts, strict=True)):
             _same(f"u of trajectory {number}", len(inputs), len(states), "rows")
             _same(f"x of trajectory {number}", states.shape[1], xs[0].shape[1], "states")
             times.append(times_of(each, len(states)))
-            if len(states) < _FEWEST_ROWS:
+            part = _parts(times[-1])
+            parts.append(part + (parts[-1][-1] + 1 if parts else 0))
+            if (fewest := np.bincount(part).min()) < _FEWEST_ROWS:
                 raise InputError(
                     f"x of trajectory {number}",
-                    expected=f"at least {_FEWEST_ROWS} rows",
-                    found=str(len(states)),
-                    remedy="take a longer record",
+                    expected=f"at least {_FEWEST_ROWS} rows without a gap",
+                    found=str(fewest),
+                    remedy="leave these out"
+                    if max(map(len, xs)) >= _FEWEST_ROWS
+                    else "take longer trajectories: each has to show its noise",
                 )
             # The same noise twice is no more evidence, but would count as such.
             if (same := first.setdefault(states.tobytes(), number)) != number:
@@ -220,9 +228,8 @@ class Trajectories:
                     remedy="give each record once",
                 )
             _no_spikes(f"x of trajectory {number}", states, names)
-        run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
-        runs = Segments.from_labels(run, run.size)
         inputs = np.concatenate(us)
+        runs = Segments.from_labels(np.concatenate(parts), len(inputs))
         smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
         return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, smooth)
 
@@ -312,8 +319,15 @@ class Trajectories:
 
 
 def _several(values: Any) -> bool:
-    """Tell whether a list holds an array, rather than numbers, anywhere."""
-    return isinstance(values, list | tuple) and any(np.ndim(each) > 0 for each in values)
+    """Tell whether a list holds an array, rather than numbers, anywhere.
+
+    Lists of numbers that are shorter than the list they are in are the rows of one array.
+    """
+    if not isinstance(values, list | tuple):
+        return False
+    of_lists = all(isinstance(each, list | tuple) for each in values)
+    rows = of_lists and all(np.ndim(each) == 1 and len(each) < len(values) for each in values)
+    return not rows and any(np.ndim(each) > 0 for each in values)
 
 
 def listed(name: str, values: Any) -> list[FloatArray]:
@@ -338,7 +352,9 @@ def listed(name: str, values: Any) -> list[FloatArray]:
             name,
             expected="finite numbers of shape (n_rows, n_columns), or a list of such arrays",
             found=str(error),
-            remedy="cut the record at a gap and pass the parts as trajectories",
+            remedy="cut the record at a gap and pass the parts as trajectories"
+            if "contains" in str(error)
+            else "pass numbers, a row for each time",
         ) from error
     return [np.reshape(each, (len(each), -1)) for each in arrays]
 
@@ -393,6 +409,24 @@ def times_of(t: Any, rows: int) -> FloatArray:
             remedy="pass the sample period, or the time of each row",
         )
     return times.ravel()
+
+
+def _parts(times: FloatArray) -> IntArray:
+    """Return how many gaps lie before each row."""
+    steps = np.diff(times)
+    usual = np.sort(steps)[steps.size // 2 :][:1]
+    most = np.maximum(usual, np.roll(steps, 1))
+    gap = steps > _GAP * np.maximum(most, np.roll(steps, -1))
+    return np.asarray(np.append(0, np.cumsum(gap)), dtype=np.int64)
+
+
+def output_times(t: Any) -> FloatArray:
+    """Return the times at which a run is wanted, or refuse them."""
+    times = np.asarray(t, dtype=np.float64)
+    if times.ndim != 1 or not times.size:
+        expected = "an array of the times at which the states are returned"
+        raise InputError("t", expected=expected, found=f"one of shape {times.shape}")
+    return times
 
 
 def _same(name: str, found: int, wanted: int, of_what: str) -> None:
