@@ -135,12 +135,10 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             )
         try:
             blocks = [np.column_stack(block) for block in stored.blocks(wanted)]
-        except InputError as error:
+        except InputError as e:
             # What else it advises is for raw records.
-            remedy, found = error.remedy.replace(NOT_FINITE_REMEDY, CUT), error.found
-            raise InputError(
-                error.where, expected=error.expected, found=found, remedy=remedy
-            ) from None
+            remedy = e.remedy.replace(NOT_FINITE_REMEDY, CUT)
+            raise InputError(e.where, expected=e.expected, found=e.found, remedy=remedy) from None
         table = np.concatenate(blocks).astype(np.float64)
     for name, values in zip(wanted, table.T, strict=True):
         if not np.isfinite(values).all():

@@ -72,9 +72,10 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
     tried = f"{len(model.path_)} models compared"
     words = f"rivals: none within 5 of the log-likelihood ({tried})"
     if model.rivals_:
+        weight = sum(np.exp(-rival.behind) for rival in model.rivals_)
         words = (
             f"rivals: {len(model.rivals_)} of {tried} are within 5 of the log-likelihood and "
-            "cannot be excluded"
+            f"cannot be excluded: together {weight:.2g} times as likely"
         )
     return (head, *equations, words, *rivals)
 

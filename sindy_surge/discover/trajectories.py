@@ -323,11 +323,11 @@ def _several(values: Any) -> bool:
 
     Lists of numbers that are shorter than the list they are in are the rows of one array.
     """
-    if not isinstance(values, list | tuple):
-        return False
-    of_lists = all(isinstance(each, list | tuple) for each in values)
-    rows = of_lists and all(np.ndim(each) == 1 and len(each) < len(values) for each in values)
-    return not rows and any(np.ndim(each) > 0 for each in values)
+    return isinstance(values, list | tuple) and any(
+        np.ndim(each) > 1
+        or (np.ndim(each) == 1 and not (isinstance(each, list | tuple) and len(each) < len(values)))
+        for each in values
+    )
 
 
 def listed(name: str, values: Any) -> list[FloatArray]:
