@@ -153,7 +153,8 @@ def _first_negative(record: Record) -> int:
     raise InputError(
         f"{record.source}: plane 25",
         expected="reversed flow, with which every deep surge begins",
-        found=f"a corrected flow that stays above {flow.min() / LBM_KG:.1f} lbm/s",
+        found="no surge that reverses it, the corrected flow stays above "
+        f"{flow.min() / LBM_KG:.1f} lbm/s",
         remedy="check units and zero readings of the probes at plane 25; `sindy-surge inspect` "
         "says whether and when P31 swings",
     )

@@ -129,6 +129,11 @@ class NearStall(Window):
     P31_Pa: Pascal = key(_STALL_PA, "is it in kPa or psi?", ge=1e3, le=1e8)
     T31_K: Kelvin = key(_STALL_K, "is it in °C?", ge=100.0, le=2e3)
 
+    @model_validator(mode="after")
+    def _compresses(self) -> NearStall:
+        _check_above("P31_Pa", self.P31_Pa, "P25_Pa", self.P25_Pa)
+        return self
+
     def pressure_Pa(self, plane: int) -> float:
         """Return the facility's total pressure at a plane."""
         return {25: self.P25_Pa, 31: self.P31_Pa}[plane]
