@@ -99,8 +99,7 @@ def test_a_name_is_found_through_noise_of_another_kind(noise: str) -> None:
 
 # Three more go through the command line in test_verdicts_command.py.
 @pytest.mark.parametrize(
-    "effect",
-    sorted(set(OUTSIDE) - {"second_slow_mode", "sensor_quadratic", "amplitude_memory"}),
+    "effect", sorted(set(OUTSIDE) - {"second_slow_mode", "sensor_quadratic", "amplitude_memory"})
 )
 def test_what_stands_in_no_catalogue_gets_no_firm_name(effect: str) -> None:
     _, d = diagnosed(effect, **SHORT)
@@ -205,8 +204,7 @@ def test_a_clock_that_reads_otherwise_changes_no_name(effect: str, shift_s: floa
 
 # A faster rig at the sample rate that suits it, and a slower one.
 @pytest.mark.parametrize(
-    ("effect", "factor"),
-    [("facility_heating", 0.1), ("second_order_lag", 4.0)],
+    ("effect", "factor"), [("facility_heating", 0.1), ("second_order_lag", 4.0)]
 )
 def test_a_rig_of_another_speed_has_the_same_names(effect: str, factor: float) -> None:
     test, d = diagnosed(effect, **SHORT)
@@ -295,10 +293,7 @@ def test_no_records_are_refused() -> None:
 
 def test_unlike_rates_are_refused_with_both(records: Records) -> None:
     half = records[1]
-    slower = replace(
-        half,
-        time_s=half.time_s[0] + 2.0 * (half.time_s - half.time_s[0]),
-    )
+    slower = replace(half, time_s=half.time_s[0] + 2.0 * (half.time_s - half.time_s[0]))
     with pytest.raises(InputError, match=r"one sample rate, found 100 Hz and 50 Hz and 100 Hz"):
         diagnose([records[0], slower, records[2]])
 

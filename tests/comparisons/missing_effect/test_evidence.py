@@ -7,13 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.missing_effect.evidence import (
-    Evidence,
-    Rows,
-    are_alike,
-    evidence_of,
-    paired_z,
-)
+from comparisons.missing_effect.evidence import Evidence, Rows, are_alike, evidence_of, paired_z
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 
 Array = np.ndarray

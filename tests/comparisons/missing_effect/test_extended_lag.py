@@ -21,10 +21,7 @@ from comparisons.harness.estimators import default_estimators
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.missing_effect.candidates import Bench
-from comparisons.missing_effect.extended_file import (
-    load_extended,
-    save_extended,
-)
+from comparisons.missing_effect.extended_file import load_extended, save_extended
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_refit import extended_specs, model_of, refitted
 from comparisons.missing_effect.fit import Structure, fit_structure
@@ -72,10 +69,7 @@ def models(tests: dict[str, CoefficientTest]) -> dict[str, ExtendedLag]:
 
 @pytest.mark.parametrize("name", ADDED)
 def test_read_back_it_leaves_on_an_unseen_record_noise_and_the_lag_alone_more(
-    name: str,
-    models: dict[str, ExtendedLag],
-    tests: dict[str, CoefficientTest],
-    tmp_path: Path,
+    name: str, models: dict[str, ExtendedLag], tests: dict[str, CoefficientTest], tmp_path: Path
 ) -> None:
     test = tests[name]
     records = series_of(test)
@@ -94,11 +88,7 @@ def test_read_back_it_leaves_on_an_unseen_record_noise_and_the_lag_alone_more(
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter"),
-    [
-        ("flow_inertia", "length_s"),
-        ("asymmetric_lag", "slope"),
-    ],
+    ("name", "parameter"), [("flow_inertia", "length_s"), ("asymmetric_lag", "slope")]
 )
 def test_adding_an_effect_and_fitting_again_recovers_it_within_its_errors(
     name: str, parameter: str

@@ -155,9 +155,7 @@ def fit_from(data: LagData, sigma: float, tau_s: float, structure: Structure = B
     return fit_structure(structure, data, Metric(sigma), [start])
 
 
-def test_the_fit_does_not_depend_on_where_it_starts(
-    plain: tuple[CoefficientTest, LagData],
-) -> None:
+def test_the_fit_does_not_depend_on_where_it_starts(plain: tuple[CoefficientTest, LagData]) -> None:
     test, data = plain
     fits = [fit_from(data, test.sigma, factor * test.tau_s) for factor in (0.1, 0.5, 1.0, 3.0, 8.0)]
     for fit in fits[1:]:
@@ -208,9 +206,7 @@ def test_terms_that_the_rows_cannot_tell_apart_have_an_answer(
     )
 
 
-def test_rows_without_weight_are_simulated_through(
-    plain: tuple[CoefficientTest, LagData],
-) -> None:
+def test_rows_without_weight_are_simulated_through(plain: tuple[CoefficientTest, LagData]) -> None:
     test, data = plain
     off = np.zeros(data.n_samples, dtype=bool)
     off[300:420] = True

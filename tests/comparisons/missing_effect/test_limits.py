@@ -144,10 +144,7 @@ def test_what_the_records_have_is_not_planted_again(nothing_missing: Diagnosis) 
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [
-        ({"trials": 0}, "expected at least 1"),
-        ({"effects": ["rust"]}, "found 'rust'"),
-    ],
+    [({"trials": 0}, "expected at least 1"), ({"effects": ["rust"]}, "found 'rust'")],
 )
 def test_what_makes_no_drill_is_refused(
     options: dict[str, object], words: str, nothing_missing: Diagnosis

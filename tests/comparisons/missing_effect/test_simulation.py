@@ -370,8 +370,7 @@ def test_several_effects_act_at_their_ports_together(data: LagData) -> None:
     found = structure.output(data, np.concatenate([PLAIN, [0.004, 0.2, 0.02]]), BETA)
     # The sign of dφ/dt is that of the φ that was measured.
     truth = integrated(
-        lambda t: plain_target(t - 0.02),
-        lambda t: TAU_S * (1.0 + 0.2 * np.sign(flow_rate(t))),
+        lambda t: plain_target(t - 0.02), lambda t: TAU_S * (1.0 + 0.2 * np.sign(flow_rate(t)))
     ) * (1.0 + 0.004 * TIME_S)
     assert off_by(found, truth) < 1e-3
 

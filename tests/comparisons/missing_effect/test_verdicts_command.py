@@ -45,10 +45,7 @@ CANDIDATE |= {"held_out_z", "p_value", "time_constant_s", "parameters_added"}
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_verdict_is_printed_and_written(
-    case: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # The pictures are drawn elsewhere.
     monkeypatch.setattr("comparisons.page.style.figure_to_data_uri", lambda _: "data:,")

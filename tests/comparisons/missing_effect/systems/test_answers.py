@@ -26,11 +26,7 @@ SPEED, AT, FORCE = (5.0, 1.5, 0.3), (5.0, 0.3, 0.3), (1.0, 20.0, 1.0)
 # propagators; those with a kink as far as four points a sample resolve the moment of the kink.
 SMOOTH, KINKED = 2e-3, 3e-2
 EFFECTS: dict[str, tuple[Placed, list[float], float]] = {
-    "cubic_stiffness": (
-        make.placed("cubic_stiffness", Kind.TERM, 1, 0, scales=AT),
-        [-0.4],
-        SMOOTH,
-    ),
+    "cubic_stiffness": (make.placed("cubic_stiffness", Kind.TERM, 1, 0, scales=AT), [-0.4], SMOOTH),
     "coulomb_friction": (
         make.placed("coulomb_friction", Kind.TERM, 1, 1, scales=SPEED),
         [-0.1, 0.2],
@@ -48,11 +44,7 @@ EFFECTS: dict[str, tuple[Placed, list[float], float]] = {
         KINKED,
     ),
     "gravity": (make.placed("gravity", Kind.TERM, 1, scales=AT, code=Term.CONSTANT), [0.3], SMOOTH),
-    "dead_zone": (
-        make.placed("dead_zone", Kind.INPUT_MAP, 0, 2, scales=FORCE),
-        [0.15],
-        KINKED,
-    ),
+    "dead_zone": (make.placed("dead_zone", Kind.INPUT_MAP, 0, 2, scales=FORCE), [0.15], KINKED),
     "saturation of the input": (
         make.placed("saturation", Kind.INPUT_MAP, 0, 2, scales=FORCE, code=Map.BOTH),
         [0.9],
@@ -166,10 +158,7 @@ def test_a_nonlinear_model_with_two_effects_and_two_outputs() -> None:
 def test_the_recording_filter() -> None:
     """In a nonlinear model, since a linear one commutes with it: its columns are all but zero."""
     model = make.body(
-        rhs=lambda t, x, u, p: (
-            x.speed,
-            (u.F - p.c * x.speed - p.k * x.at - 600.0 * x.at**3) / p.M,
-        )
+        rhs=lambda t, x, u, p: (x.speed, (u.F - p.c * x.speed - p.k * x.at - 600.0 * x.at**3) / p.M)
     )
     filter_ = make.placed("recording_filter", Kind.RECORDING, -1)
     structure = Structure(model, (filter_,), "cubic", TIGHT)

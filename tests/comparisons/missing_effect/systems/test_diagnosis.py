@@ -178,8 +178,7 @@ def test_a_delay_is_named_as_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"),
-    [("thermal", 11), ("tanks", 12), ("pipe", 11), ("circuit", 12)],
+    ("kind", "seed"), [("thermal", 11), ("tanks", 12), ("pipe", 11), ("circuit", 12)]
 )
 def test_a_complete_model_lacks_nothing(kind: str, seed: int) -> None:
     found = diagnosed(kind, seed)

@@ -61,12 +61,7 @@ def write_csv(path: Path) -> None:
     good().to_csv(path, index=False)
 
 
-WRITERS = {
-    "run.csv": write_csv,
-    "run.mat": write_mat,
-    "run.npz": write_npz,
-    "run.nc": write_netcdf,
-}
+WRITERS = {"run.csv": write_csv, "run.mat": write_mat, "run.npz": write_npz, "run.nc": write_netcdf}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -158,10 +153,7 @@ BAD = {
     ),
     "constant.csv": (lambda: text(good().assign(y=1.0)), "an output that changes"),
     "run.txt": (lambda: text(good()), "a record ending in .csv, .mat, .npz or .nc"),
-    "cut.mat": (
-        lambda: packed(scipy.io.savemat)()[:3000],
-        "a MAT file, found what cannot be read",
-    ),
+    "cut.mat": (lambda: packed(scipy.io.savemat)()[:3000], "a MAT file, found what cannot be read"),
     "new.mat": (lambda: b"MATLAB 7.3 MAT-file" + NUL, "a MAT file, found what cannot be read"),
     "lengths.mat": (
         packed(scipy.io.savemat, y=np.arange(150.0)),

@@ -181,8 +181,7 @@ def test_what_is_known_of_a_start_pulls_as_its_error_says() -> None:
 def test_two_outputs_of_unlike_size_weigh_as_their_errors_ask() -> None:
     """Position in mm, with little noise, beside a speed that is mostly noise."""
     model = make.body(
-        outputs={"q": "mm", "w": "m/s"},
-        output=lambda t, x, u, p: (1000.0 * x.at, x.speed),
+        outputs={"q": "mm", "w": "m/s"}, output=lambda t, x, u, p: (1000.0 * x.at, x.speed)
     )
     made = truth.body(5, N, noise=0.005, with_speed=True)
     made["w"] = made.pop("v") + 3.0 * np.random.default_rng(9).standard_normal(N)

@@ -19,10 +19,7 @@ TIGHT = 1e-9
 
 
 def model_of(
-    rhs: Callable[..., Any],
-    states: int = 1,
-    inputs: tuple[str, ...] = (),
-    **params: float,
+    rhs: Callable[..., Any], states: int = 1, inputs: tuple[str, ...] = (), **params: float
 ) -> Model:
     """A model whose outputs are all its states."""
     names = ["a", "b", "c"][:states]

@@ -117,9 +117,7 @@ BAD_RECORDS: dict[str, tuple[Callable[[], object], str]] = {
             Model(**GOOD),
             [
                 Experiment(
-                    "a",
-                    1.0,
-                    {**channels(150), "y": np.r_[np.arange(100.0), np.full(50, np.nan)]},
+                    "a", 1.0, {**channels(150), "y": np.r_[np.arange(100.0), np.full(50, np.nan)]}
                 )
             ],
         ),

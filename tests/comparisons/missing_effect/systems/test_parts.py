@@ -17,12 +17,7 @@ from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS, open_effect
 from comparisons.missing_effect.systems.places import Place, Placed
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
-from comparisons.missing_effect.systems.roles import (
-    against_storing,
-    displacements,
-    rates,
-    rates_of,
-)
+from comparisons.missing_effect.systems.roles import against_storing, displacements, rates, rates_of
 from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
@@ -148,10 +143,7 @@ def test_a_sensor_may_be_blind_only_to_a_sign_that_the_model_changes() -> None:
     """A level is never negative: nothing can be said of what its sensor would show there."""
     model = make.tanks()
     run = make.runs_on(model, [make.experiment("tanks", truth.tanks(1, 600))])[0]
-    blind = (
-        *find_system_effect("absolute_value_sensor"),
-        *find_system_effect("rectifying_sensor"),
-    )
+    blind = (*find_system_effect("absolute_value_sensor"), *find_system_effect("rectifying_sensor"))
     placed, refused = placed_effects(bare_fit(model, run), [run], blind)
     assert placed == []
     assert all(words.startswith("needs an output that changes sign") for words in refused.values())

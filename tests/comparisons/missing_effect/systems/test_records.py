@@ -13,12 +13,7 @@ from scipy.signal import lfilter
 
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
-from comparisons.missing_effect.systems.experiments import (
-    Experiment,
-    all_pass,
-    held_rows,
-    is_held,
-)
+from comparisons.missing_effect.systems.experiments import Experiment, all_pass, held_rows, is_held
 from comparisons.missing_effect.systems.fit import settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
@@ -31,10 +26,7 @@ def biased_body(**changes: Any) -> Model:
     """The body with a force whose zero was set anew for each record."""
     given = {
         "params": {**make.body().params, "zero": P(0.0, -50.0, 50.0, "N", per_record=True)},
-        "rhs": lambda t, x, u, p: (
-            x.speed,
-            (u.F + p.zero - p.c * x.speed - p.k * x.at) / p.M,
-        ),
+        "rhs": lambda t, x, u, p: (x.speed, (u.F + p.zero - p.c * x.speed - p.k * x.at) / p.M),
     }
     return make.body(**{**given, **changes})
 

@@ -146,9 +146,7 @@ def test_noise_alone_promises_what_chance_does(bare: tuple[Structure, Run, list[
     assert np.mean(np.array(gains) > 0.5 * 3.84) < 0.15
 
 
-def test_what_is_fitted_already_promises_nothing(
-    bare: tuple[Structure, Run, list[Probe]],
-) -> None:
+def test_what_is_fitted_already_promises_nothing(bare: tuple[Structure, Run, list[Probe]]) -> None:
     """A spring and a damper are parameters: as open terms they say nothing, whatever is missing."""
     structure, run, probes = bare
     cubic = next(p for p in probes if p.placed.name == "cubic_stiffness")
