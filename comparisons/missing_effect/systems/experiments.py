@@ -58,6 +58,9 @@ class Experiment:
     first_s: float = 0.0
     settle: int = 0
     origin: str = ""
+    # The run that this is a stretch of, as a black box must be simulated, and its rows before.
+    record: Experiment | None = None
+    skipped: int = 0
 
     def __post_init__(self) -> None:
         period_s = self.sample_period_s
@@ -136,6 +139,8 @@ class Experiment:
             self,
             channels={name: values[start:stop] for name, values in self.channels.items()},
             first_s=self.first_s + start * self.sample_period_s,
+            record=self.record or self,
+            skipped=self.skipped + start,
         )
 
     def columns(self, names: Sequence[str]) -> FloatArray:

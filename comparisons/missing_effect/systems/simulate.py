@@ -94,7 +94,8 @@ def black_box_path(structure: Structure, run: Run, theta: FloatArray, start: Flo
     """Return a run of a black box: its states are the parameters of its record."""
     rows = FINE * (run.n_samples - 1) + 1
     states = np.tile(start[: len(structure.model.states)], (rows, 1))
-    outputs = structure.recorded(_black_box_outputs(structure, run, theta, start), theta)
+    whole = _black_box_outputs(structure, run.from_record_start(structure), theta, start)
+    outputs = structure.recorded(whole, theta)[-run.n_samples :]
     failed = not np.all(np.abs(outputs) < LARGEST)
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
 

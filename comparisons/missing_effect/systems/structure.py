@@ -15,7 +15,7 @@ from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 # A timing offset of an input beyond one sample is a delay, and has to be named.
-MOST_OFFSET = 1.0
+MOST_OFFSET, HALF_SAMPLE = 1.0, 0.5
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
 # off by 2e-4 of their swing.
 FIRST_TOLERANCE = 1e-5
@@ -198,6 +198,16 @@ class Run:
         clock = np.array([experiment.first_s, experiment.sample_period_s, middle, half])
         outputs = np.ascontiguousarray(experiment.columns(model.output_names))
         return cls(experiment, outputs, pieces, clock, *x0)
+
+    def from_record_start(self, structure: Structure) -> Run:
+        """Return the run with the rows of its record before it: a black box begins there."""
+        e = self.experiment
+        if e.record is None or not e.skipped:
+            return self
+        whole = e.record.rows(0, e.skipped + e.n_samples)
+        middle, half = self.clock[2:]
+        span, x0 = (middle - half, middle + half), (self.x0_mean, self.x0_sd)
+        return Run.of(structure.model, whole, structure.between, span, x0)
 
     def pieces_for(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """Return the inputs between samples as the system had them, the recording filter undone."""

@@ -52,6 +52,14 @@ def test_a_black_box_is_fitted_as_the_model_is() -> None:
     assert one_error == pytest.approx(other_error, rel=0.15)
 
 
+def test_a_stretch_of_a_black_box_begins_where_its_record_does() -> None:
+    record = make.experiment("circuit", truth.circuit(3, 300))
+    runs = make.runs_on(boxed(), [record, record.rows(200, 300)], "linear")
+    how = Structure(boxed(), (), "linear"), np.array([0.05, 3.0, 2e-3, 0.2]), np.zeros(0)
+    whole, late = (path_of(how[0], run, *how[1:], np.zeros(0)).outputs for run in runs)
+    assert late == pytest.approx(whole[200:], abs=1e-9)
+
+
 PLACES = {
     "delay": (Kind.INPUT_DELAY, "transport_delay", None, (3.4,)),
     "lag of the input": (Kind.INPUT_LAG, "further_lag", None, (4.0,)),
