@@ -37,6 +37,9 @@ PLAYS = (0.1, 0.3, 1.0)
 REACH, LONGER = 30, 5
 # Errors of random phases for that, whose tail is taken as a gamma one.
 LATE_SURROGATES = 200
+# Errors there are cut at so many robust standard deviations: spikes of a sensor, 1.5 % of its
+# readings, made a complete model look late.
+MOST_SPIKE = 4.0
 # So many that one test can speak where the other says nothing.
 SURROGATES = 4000
 
@@ -189,7 +192,10 @@ def foretold_late(
     long = [(e, u, rows) for e, u, rows in read if rows.size > MEMORY + 1 and np.ptp(e[rows]) > 0.0]
     if not (long and acting.any()):
         return 1.0
-    runs = [e[rows] - e[rows].mean() for e, _, rows in long]
+    runs = [e[rows] - np.median(e[rows]) for e, _, rows in long]
+    most = MOST_SPIKE * 1.4826 * float(np.median(np.abs(np.concatenate(runs))))
+    runs = [np.clip(e, -most, most) for e in runs]
+    runs = [e - e.mean() for e in runs]
     earlier = [
         _earlier(u[:, acting] / spread[acting])[rows[MEMORY - 1 : -1]] for _, u, rows in long
     ]
