@@ -33,7 +33,7 @@ from comparisons.missing_effect.systems.places import (
     signal_names,
 )
 from comparisons.missing_effect.systems.records import Records
-from comparisons.missing_effect.systems.roles import measured_as
+from comparisons.missing_effect.systems.roles import feeds_through, measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import FINE
@@ -312,6 +312,12 @@ def one_sided(fit: Fit, records: Records) -> frozenset[int]:
 def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
+def _acted(signals: FloatArray, model: Model) -> FloatArray:
+    """Return states and inputs, the inputs as they were in the row before."""
+    n_x = len(model.states)
+    return np.column_stack([signals[:, :n_x], np.vstack([signals[:1], signals[:-1]])[:, n_x:]])
+
+
     """Test what a model leaves for anything that effects, inputs or states still explain."""
     if bench.fit.failed:
         return Leftover(1.0, 1.0, 0.0, np.inf)
@@ -335,8 +341,10 @@ def leftover_of(
         late_p = min(late_p, foretold_late(every, entered, rng))
         if ratios[j] > COLOURED:
             new_p = min(new_p, newly_foretold(every, [*fitted, *held_out]))
-        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], held_out, names, rng)
+        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], causes, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
+    # A controller answers an error in its own row: there an input is no cause of it.
+    causes = held_out if feeds_through(model) else [_acted(s, model) for s in held_out]
             p, share, follows = found
     asked: dict[Hashable, str] = {}
     for one in bench.fit.structure.effects:

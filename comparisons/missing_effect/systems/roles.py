@@ -117,6 +117,14 @@ def _drawn(model: Model, rng: np.random.Generator) -> tuple[FloatArray, FloatArr
     return x, u
 
 
+@lru_cache(maxsize=64)
+def feeds_through(model: Model) -> bool:
+    """Tell whether an input enters an output at once, as that of a black box may."""
+    if model.simulate is not None:
+        return True
+    return bool(np.any(_tries(model)[2] != _tries(model, driven=False)[2]))
+
+
 def physical(model: Model) -> tuple[int, ...]:
     """Return the states on which something may act.
 
