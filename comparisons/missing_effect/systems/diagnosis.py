@@ -27,6 +27,7 @@ from comparisons.missing_effect.systems.doubts import (
     left_words,
     leftover_of,
     one_sided,
+    proves,
 )
 from comparisons.missing_effect.systems.experiments import (
     Experiment,
@@ -231,7 +232,7 @@ def _concluded(
     if left.structured or unnamed:
         # A name beyond the first may stand in for what is left, or for what has no name; so may the
         # first, without a check record to prove it.
-        sure, why = (1 if checks else 0), STILL_FORETOLD if left.structured else BESIDE_UNNAMED
+        sure, why = int(proves(checked)), STILL_FORETOLD if left.structured else BESIDE_UNNAMED
         later = [item if item.unnamed else item.doubted(why) for item in missing[sure:]]
         missing = (*missing[:sure], *later)
     # What acts in the training rows as well does not act in a check record alone.
