@@ -17,7 +17,13 @@ from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, rows_together, runs_of
 from comparisons.missing_effect.systems.simulate import FINE
-from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
+from comparisons.missing_effect.systems.structure import (
+    FIRST_TOLERANCE,
+    HALF_SAMPLE,
+    MOST_OFFSET,
+    Run,
+    Structure,
+)
 from surge_core.types import FloatArray
 
 # Steps in a whitening metric, whose valleys are narrow and bent.
@@ -198,6 +204,10 @@ class Bench:
         white = laid.whitened(self.fit, metric)
         held = replace(structure, offsets_free=False)
         theta = _with_offsets(self.fit, white)
+        # What is held is late by half a sample itself: beyond one sample in all it is a delay.
+        late = theta[structure.offsets] > MOST_OFFSET - HALF_SAMPLE
+        if between == "held" and late.any():
+            return np.inf, np.inf, theta
         begun = replace(white, structure=held, theta=theta)
         raw = begun.again(short.train, self.raw, most=STEPS_BETWEEN)
         if raw.failed or white.failed:

@@ -19,7 +19,7 @@ from comparisons.missing_effect.search import (
     search_round,
     verdict_of,
 )
-from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.bench import BETTER_WHITE, Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
     doubts_beside,
@@ -48,9 +48,10 @@ from comparisons.missing_effect.systems.quantities import (
     numbers_of,
     widened,
 )
-from comparisons.missing_effect.systems.records import Records, check_run, runs_of
+from comparisons.missing_effect.systems.records import Records, check_run, rows_together, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.structure import HALF_SAMPLE
 from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
 from surge_core.rounding import significant
 from surge_core.threads import one_thread
@@ -279,7 +280,28 @@ def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, dict[str, str]]:
     raw = raw_metric([run.outputs for run in runs])
     fit = replace(bench.fit, structure=structure).again(runs, raw)
     cov, beyond = covariance(fit, runs, raw), asked_beyond(fit, runs, raw)
+    for placed in structure.effects:
+        if placed.effect.kind == Kind.INPUT_DELAY:
+            at = int(structure.slots_of(placed)[0])
+            cov[at, at] += _moved_the_other_way(fit, bench.records, raw, at) ** 2
     return fit, cov, raw if fit.failed else metric_of(fit.errors), beyond
+
+
+def _moved_the_other_way(fit: Fit, records: Records, raw: Metric, at: int) -> float:
+    """Return by how much a delay moves where inputs run the other way between samples.
+
+    What is held is late by half a sample itself; nothing, where the records reject that way.
+    """
+    if fit.failed or records.between != "auto":
+        return 0.0
+    held = fit.structure.between == "held"
+    structure, theta = replace(fit.structure, between="cubic" if held else "held"), fit.theta.copy()
+    theta[at] += HALF_SAMPLE if held else -HALF_SAMPLE
+    runs = runs_of(records, records.whole, structure.between, begun=True)
+    other = replace(fit, structure=structure, theta=theta).again(runs, raw)
+    # Errors that go together count once.
+    lost = (other.cost - fit.cost) / rows_together(fit)
+    return float(other.theta[at] - fit.theta[at]) if lost < BETTER_WHITE else 0.0
 
 
 def _as_good_wider(bench: Bench, before: Fit, beyond: Collection[str]) -> bool:

@@ -6,6 +6,8 @@ import csv
 import runpy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,11 @@ from scipy.signal import lfilter, lsim
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model, nulls
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.doubts import leftover_of, proves
+from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
 ROOT = Path(__file__).parents[4]
@@ -223,9 +229,51 @@ def test_errors_of_a_mode_that_is_missing_are_foretold_and_those_in_a_loop_are_n
     # The second run has five readings, too few to say anything.
     seldom = np.where(np.arange(2000) % 400, np.nan, error)
     assert nulls.foretold_late([error, seldom], [u[:, None]] * 2, rng) < nulls.LEAST_P
+    # Spikes alone once made these three chances 1e-33 to 4e-6.
+    for seed in (23, 72, 40):
+        gen = np.random.default_rng(seed)
+        given, spiked = slow_signal(gen, 600)[:, None], gen.standard_normal(600)
+        spiked[gen.random(600) < 0.01] *= 30.0
+        assert nulls.foretold_late([spiked], [given], gen) > nulls.LEAST_P
     slow = lfilter([1.0], [1.0, -0.9], noise)
     answer = u - 0.5 * np.roll(slow, 1)
     assert nulls.foretold_late([slow], [answer[:, None]], rng) > nulls.LEAST_P
+
+
+def test_an_input_that_answers_the_error_of_its_own_row_is_no_cause_of_it() -> None:
+    rng, x, rows = np.random.default_rng(7), 0.0, []
+    for target in np.repeat(rng.uniform(-1.0, 1.0, 40), 30):
+        read = x + 0.1 * rng.standard_normal()
+        rows.append((2.0 * (target - read), read))
+        x = np.exp(-0.1) * x - np.expm1(-0.1) * rows[-1][0]
+    model = Model(
+        states={"x": "V"},
+        inputs={"u": "V"},
+        outputs={"y": "V"},
+        params={"tau": P(2.0, 0.1, 10.0, "s")},
+        rhs=lambda t, x, u, p: (u.u - x.x) / p.tau,
+        output=lambda t, x, u, p: x.x,
+        input_between_samples="held",
+    )
+    loop = Experiment("loop", 0.1, dict(zip("uy", np.array(rows).T, strict=True)))
+    bench = Bench.of(Records.of(model, [loop]))
+    assert not leftover_of(bench, SYSTEM_CATALOGUE, ()).structured
+
+
+def test_a_smooth_input_that_is_late_is_not_held() -> None:
+    """By 1.3 samples: one held is late by half a sample itself, and reached as far alone."""
+    made, rows = oscillator(47, 1200, 0.0), np.arange(1200.0)
+    early = np.interp(rows + 1.3, rows, made.channels["u"])
+    run = replace(made, channels={"u": early, "y": made.channels["y"]})
+    assert Bench.of(Records.of(LINEAR, [run])).fit.structure.between != "held"
+
+
+def test_a_check_record_proves_nothing_where_its_own_parameters_are_others() -> None:
+    runs: Any = [
+        SimpleNamespace(after_rms=np.ones(1), refitted_rms=np.ones(1) * left)
+        for left in (0.1, 0.9, np.nan)
+    ]
+    assert [proves([run]) for run in runs] == [False, True, True]
 
 
 def measured(folder: str, name: str) -> Experiment:
