@@ -68,8 +68,8 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
     if np.isfinite(period_s := jittering_period_s(time_s)):
         remedy = (
             f"no row is missing, the clock alone is uneven: count the rows at {1.0 / period_s:.6g} "
-            'Hz (of a raw record, sample_rate_hz and [file] clock = "from rate" in test.toml; its '
-            "times then count from 0)"
+            "Hz and write row / rate as the time (a raw record: sample_rate_hz and [file] clock = "
+            '"from rate" in test.toml; its times then count from 0)'
         )
     back = np.flatnonzero(steps <= 0.0)
     if back.size:

@@ -123,10 +123,8 @@ def doubts_of(
         out.append("it explains the slow part of the error alone, which a disturbance may be")
     fitted, held = step.rates
     if held < LEAST_HELD_OUT_RATE * fitted:
-        out.append(
-            f"it explains {100.0 * held / fitted:.0f} % as much a row on held-out rows as on "
-            "those fitted"
-        )
+        share = f"{100.0 * held / fitted:.0f} % as much a row on held-out rows as on those fitted"
+        out.append("it makes held-out rows worse" if held < 0.0 else f"it explains {share}")
     rival = step.rival
     # A record rejects a rival where what stands in its place leaves nothing, or too little to make
     # up for the rival's arrears. Else neither is right.
@@ -285,15 +283,16 @@ def left_words(left: Leftover, named: bool) -> str:
             else ""
         )
         return (
-            f"{lead}omething is missing that nothing here fits: the error is "
-            f"{significant(left.ratio, 3)} times what is new in each sample{share}{follows}."
+            f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
+            f"for naming is {significant(left.ratio, 3)} times what is new in each sample{share}"
+            f"{follows}."
         )
     if left.late:
         return (
-            f"{lead}omething is missing that nothing here fits: the error, "
-            f"{significant(left.ratio, 3)} times what is new in each sample, follows what the "
-            "inputs did in earlier rows. Dynamics that are missing do that: a mode, a further lag, "
-            "a pipe."
+            f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
+            f"for naming, {significant(left.ratio, 3)} times what is new in each sample, follows "
+            "what the inputs did in earlier rows. Dynamics that are missing do that: a mode, a "
+            "further lag, a pipe."
         )
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "
