@@ -70,8 +70,10 @@ class Metric:
         out[: self.lost] = 0.0
         return out
 
-    def log_likelihood(self, errors: Sequence[FloatArray]) -> float:
-        """Return the log-likelihood of errors with the size of each output's at its best."""
+    def log_likelihood(self, errors: Sequence[FloatArray], *, known: bool = False) -> float:
+        """Return the log-likelihood of errors, the size of each output's known or at its best."""
+        if known:
+            return -0.5 * sum(float(np.sum(rows**2)) for rows in self._rows(errors))
         total = 0.0
         for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
             mean = float(np.mean(rows**2)) * sigma**2

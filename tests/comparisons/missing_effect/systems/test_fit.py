@@ -10,7 +10,7 @@ import system_models as make
 import system_truths as truth
 
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.fit import fit_runs
+from comparisons.missing_effect.systems.fit import fit_runs, settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import P
 from comparisons.missing_effect.systems.quantities import asked_beyond, covariance, numbers_of
@@ -176,6 +176,11 @@ def test_what_is_known_of_a_start_pulls_as_its_error_says() -> None:
     assert free == pytest.approx(0.0, abs=0.1)
     assert wide == pytest.approx(free, abs=2e-3)
     assert narrow == pytest.approx(0.3, abs=1e-3)
+    # Forty rows weigh against what is known with the noise of all of them.
+    fit = make.fitted(structure, runs := make.runs_on(model, [record]))
+    raw = raw_metric([runs[0].outputs]).with_size_of(fit.errors)
+    off = make.runs_on(model, [record], known=([0.05, 0.3], [np.inf, 0.02]))
+    assert settled(fit, off, raw, rows=40).starts[0][1] == pytest.approx(free, abs=0.15)
 
 
 def test_two_outputs_of_unlike_size_weigh_as_their_errors_ask() -> None:

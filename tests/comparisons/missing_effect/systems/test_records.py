@@ -76,7 +76,7 @@ def test_a_check_begins_from_the_values_of_the_training_records() -> None:
     slow = replace(fit, errors=tuple(np.repeat(e[::50], 50, axis=0) for e in fit.errors))
     held = check_run(records, record("check", 7, 2.0).of(records.model), slow)
     assert held.x0_sd[2] == pytest.approx(run.x0_sd[2] / np.sqrt(50.0), rel=0.4)
-    there = settled(fit, [run], raw_metric([run.outputs]), rows=100)
+    there = settled(fit, [run], raw_metric([run.outputs]).with_size_of(fit.errors), rows=100)
     assert there.starts[0][2] == pytest.approx(2.0, abs=0.5)
     cov = covariance(fit, Bench.of(records).train, raw_metric([run.outputs]))
     assert cov.shape == (fit.theta.size + 2,) * 2
