@@ -123,8 +123,8 @@ def doubts_of(
         out.append("it explains the slow part of the error alone, which a disturbance may be")
     fitted, held = step.rates
     if held < LEAST_HELD_OUT_RATE * fitted:
-        share = f"{100.0 * held / fitted:.0f} % as much a row on held-out rows as on those fitted"
-        out.append("it makes held-out rows worse" if held < 0.0 else f"it explains {share}")
+        much = f"{100.0 * held / fitted:.0f} % as much a row on held-out rows as on those fitted"
+        out.append("it makes held-out rows worse" if held < 0.0 else f"it explains {much}")
     rival = step.rival
     # A record rejects a rival where what stands in its place leaves nothing, or too little to make
     # up for the rival's arrears. Else neither is right.
