@@ -169,7 +169,7 @@ class _Search:
                 float(np.sum(self._prior(run, start) ** 2))
                 for run, start in zip(self.runs, starts, strict=True)
             )
-            # A few rows do not know the size of their errors.
+            # A few rows do not know how large their errors may be.
             known = self.rows is not None
             cost = 0.5 * prior - self.metric.log_likelihood(self._scored(errors), known=known)
         return Fit(self.structure, theta, starts, scale, float(cost), errors, paths)
@@ -211,9 +211,10 @@ class _Search:
         m = self.which.size
         size = m + len(self.structure.model.states) * len(self.runs)
         normal, slope = np.zeros((size, size)), np.zeros(size)
-        metric = self.metric
-        if self.rows is None:
-            metric = metric.with_size_of(self._scored(point.errors))
+        metric = self.metric.with_size_of(self._scored(point.errors))
+        if self.rows is not None:
+            known = zip(metric.sigma, self.metric.sigma, strict=True)
+            metric = replace(metric, sigma=tuple(map(min, known)))
         answers = point.whitened_answers(self.runs, metric, self.which, self.rows)
         for (at, J, error), run, start in zip(answers, self.runs, point.starts, strict=True):
             white, own = J.reshape(-1, at.size), at[m:]

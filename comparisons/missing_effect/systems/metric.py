@@ -71,13 +71,17 @@ class Metric:
         return out
 
     def log_likelihood(self, errors: Sequence[FloatArray], *, known: bool = False) -> float:
-        """Return the log-likelihood of errors, the size of each output's known or at its best."""
-        if known:
-            return -0.5 * sum(float(np.sum(rows**2)) for rows in self._rows(errors))
+        """Return the log-likelihood of errors with the size of each output's at its best.
+
+        Where the sizes are ``known``, none is larger than the metric says.
+        """
         total = 0.0
         for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
-            mean = float(np.mean(rows**2)) * sigma**2
-            total -= 0.5 * rows.size * float(np.log(max(mean, 1e-300)))
+            mean = float(np.mean(rows**2))
+            beyond = max(mean - 1.0, 0.0) if known else 0.0
+            total -= (
+                0.5 * rows.size * float(np.log(max((mean - beyond) * sigma**2, 1e-300)) + beyond)
+            )
         return total
 
     def with_size_of(self, errors: Sequence[FloatArray]) -> Metric:
