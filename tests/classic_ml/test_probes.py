@@ -40,8 +40,14 @@ def test_a_wrong_sensitivity_is_read_off(
 ) -> None:
     record, test = loaded
     mean = record[PROBE][CYCLES].mean()
-    spoiled = changed(record, PROBE, mean + factor * (record[PROBE] - mean))
-    found = compare_probes(slow_pressures(spoiled, test, CYCLES), test)
+    values = mean + factor * (record[PROBE] - mean)
+    spoiled = changed(record, PROBE, values)
+    slow = slow_pressures(spoiled, test, CYCLES)
+    found = compare_probes(slow, test)
+    assert any(PROBE in text for text in disagreements(slow, test, found))
+    # What both rakes show at one immersion is the gas.
+    slow = slow_pressures(changed(spoiled, "P31_A_hub_forward", values), test, CYCLES)
+    assert disagreements(slow, test, compare_probes(slow, test)) == []
     assert found[PROBE].gain == pytest.approx(factor, abs=0.02)
     others = [a for n, a in found.items() if n != PROBE]
     assert max(abs(a.gain - 1.0) for a in others) < 0.05
