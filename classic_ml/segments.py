@@ -245,11 +245,11 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray | 
         return None
     shift = record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
     shift = period_average(shift, 1.0 / cell_hz, record.sample_rate_hz)
-    flow = 0.5 * (record["Wc25_hub_kg_s"] + record["Wc25_tip_kg_s"])
-    n_before = int(np.argmax(flow < 0.0))
     inside = _inside(window, shift.size)
-    state, far = stall_by_shift(shift, inside, n_before, by_median=True)
-    return state if far > LEAST_SHIFT * float(np.max(flow)) else None
+    # Matched near stall, hub and tip pass alike before the surge, which a record may begin behind.
+    state, far = stall_by_shift(shift, inside, 0, by_median=True)
+    largest = float(np.max(record["Wc25_hub_kg_s"] + record["Wc25_tip_kg_s"])) / 2.0
+    return state if far > LEAST_SHIFT * largest else None
 
 
 def estimated_threshold_lbm_s(

@@ -175,7 +175,9 @@ def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
     state = np.ones(flow.size, dtype=np.bool_)
     if shift is not None and usable.any():
         shift = period_average(shift, period_s, rate_hz)
-        state, _ = stall_by_shift(shift, usable, int(reversed_[0]) if reversed_.size else 0)
+        # A record that continues another begins in surge.
+        begins = reversed_.size and signals.chain.near_stall_rows < flow.size
+        state, _ = stall_by_shift(shift, usable, int(reversed_[0]) if begins else 0)
         state = _without_short(state, round(SHORTEST_STATE_S * rate_hz))
     for start, stop in intervals_where(~state).tolist():
         if stop - start > LONGEST_QUIET_S * rate_hz:

@@ -76,8 +76,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ),
     (
         {"machine": {"radius_m": "1", "gamma": 3}, "channels": {"P": 3, "T": {"kind": "pressure"}}},
-        "f: machine.radius_m: expected a mean radius of 0.02 to 2 m, found '1' (is it in mm?); "
-        "machine.gamma: expected a value less than 2, found 3; "
+        "f: machine.radius_m: expected a mean radius of 0.02 to 2 m, found '1' "
+        "(write the number alone); machine.gamma: expected a value less than 2, found 3; "
         "channels.P: expected a table, found 3; "
         "channels.T.plane: expected a value, found nothing",
     ),
