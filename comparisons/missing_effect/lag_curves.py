@@ -120,7 +120,11 @@ def _settled(fit: Fit, data: LagData) -> NDArray[np.bool_]:
 
 def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:
     """Sweep φ slowly from the top of its range to the bottom and back."""
-    seen = data.sampled(data["phi"])[data.scored()]
+    shown = data.scored()
+    if "stalled" in data:
+        # The unstalled branch has a curve of its own.
+        shown &= data.sampled(data["stalled"]) > 0.5
+    seen = data.sampled(data["phi"])[shown]
     low, high = float(seen.min()), float(seen.max())
     grid = np.linspace(low, high, CURVE_POINTS)
     phi = np.concatenate([grid[::-1], grid])
