@@ -7,9 +7,12 @@ changes between the regimes. The other rows are simulated through.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from classic_ml.cycles import first_reversal
+from classic_ml.faults.search import SPIKED
 from classic_ml.filters import peak_frequency_hz, period_average, power_spectrum
 from classic_ml.flow import LBM_KG
 from classic_ml.intervals import label_intervals
@@ -39,13 +42,13 @@ def extend_while_settled(record: Record, window: slice) -> slice:
     """Return the window, extended to both sides over the rows of the same settled machine.
 
     The cycles need not repeat each other for a free run: it ends where N_c leaves 8 % of its
-    median in the window, or where a reading does not count.
+    median in the window, or where readings do not count; a bridged spike does not end it.
     """
     speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
     bad = np.abs(speed / np.median(speed[window]) - 1.0) > SETTLED_SHARE
     for name in record.channels:
         if name.startswith(fault_name("")):
-            bad |= record[name] != 0
+            bad |= (record[name] != 0) & (record[name] != SPIKED)
     before = np.flatnonzero(bad[: window.start])
     behind = np.flatnonzero(bad[window.stop :])
     start = int(before[-1]) + 1 if before.size else 0
@@ -134,8 +137,8 @@ def _inside(part: slice, n_rows: int) -> BoolArray:
 
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
-# What two rakes read differently at plane 25, and how near its line the cells' line is looked for.
-RAKE_DIFFERENCE, NEAR = "P25_rake_difference_Pa", 0.1
+# What two rakes read differently at plane 25.
+RAKE_DIFFERENCE = "P25_rake_difference_Pa"
 # A line of rotating stall stands at least this far above the spectrum around it.
 LEAST_PEAK = 20.0
 # Without cells there is nothing to average out but noise.
@@ -188,29 +191,31 @@ def in_stall_by_threshold(
 def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
-    Where two rakes were read it is the peak next to that of their difference.
+    Where two rakes were read the spectrum is that of their difference, if a line stands out there.
     """
     return _cell_line(record, window)[0]
 
 
 def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
-    """Return the period of the stall cells, and whether the spectrum of P25 shows any."""
+    """Return the period of the stall cells, and whether that spectrum shows any."""
     cell_hz, above = _cell_line(record, window)
     return (1.0 / cell_hz, True) if above >= LEAST_PEAK else (PLAIN_PERIOD_S, False)
 
 
 def _cell_line(record: Record, window: slice) -> tuple[float, float]:
     """Return the highest line above surge in Hz, and how far it stands above what is around it."""
-    rate = record.sample_rate_hz
-    low, high = LOWEST_CELL_HZ, 0.4 * rate
-    if RAKE_DIFFERENCE in record:
-        # A resonance of the ducts is alike at both rakes, and higher than the cells in their mean.
-        apart = peak_frequency_hz(*power_spectrum(record[RAKE_DIFFERENCE][window], rate), low, high)
-        low, high = (1.0 - NEAR) * apart, (1.0 + NEAR) * apart
-    frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], rate)
-    cell_hz = peak_frequency_hz(frequency, density, low, high)
-    around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
-    return cell_hz, float(density[np.argmin(np.abs(frequency - cell_hz))] / np.median(around))
+    # A resonance of the ducts is alike at both rakes, and higher than the cells in their mean; in
+    # the mean of opposite rakes one cell cancels (its line: 29 000 times what is around it in the
+    # difference, 13 in the mean).
+    rate, line = record.sample_rate_hz, (math.nan, 0.0)
+    for name in (RAKE_DIFFERENCE, "P25_unfiltered_Pa"):
+        if name in record and np.ptp(record[name][window]) > 0.0 and line[1] < LEAST_PEAK:
+            frequency, density = power_spectrum(record[name][window], rate)
+            cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
+            around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
+            peak = density[np.argmin(np.abs(frequency - cell_hz))]
+            line = cell_hz, float(peak / np.median(around))
+    return line
 
 
 def stall_by_shift(
@@ -278,7 +283,9 @@ def estimated_threshold_lbm_s(
     if unstalled < LEAST_UNSTALLED:
         did = f"estimated: none, since {how} shows no unstalled regime"
         return None, LedgerEntry("threshold", did, parameters)
-    between = threshold_between(flow) if state is None else _dividing(flow, state[window])
+    between = threshold_between(flow)
+    if state is not None:
+        between = _dividing(flow, state[window], _before_surge(record, corrected_kg_s))
     threshold = between / LBM_KG
     parameters["threshold_lbm_s"] = round(threshold, 3)
     did = f"estimated: {threshold:.1f} lbm/s of corrected flow, by {how}"
@@ -295,12 +302,27 @@ def threshold_between(values: FloatArray) -> float:
     return 0.5 * float(ordered[best] + ordered[best + 1])
 
 
-def _dividing(flow: FloatArray, stalled: BoolArray) -> float:
-    """Return the flow that divides rows as their state does, as nearly as the switches decide."""
+def _before_surge(record: Record, corrected_kg_s: FloatArray) -> float:
+    """Return a flow that the machine passes unstalled before it surges; inf where no row shows it.
+
+    Of a hundred rows before the surge five pass less.
+    """
+    before = corrected_kg_s[
+        : max(first_reversal(record) - round(SHORTEST_S * record.sample_rate_hz), 0)
+    ]
+    return float(np.percentile(before, 5.0)) if before.size else math.inf
+
+
+def _dividing(flow: FloatArray, stalled: BoolArray, below: float) -> float:
+    """Return the flow, below a limit, that divides rows as their state does.
+
+    As nearly as the switches decide.
+    """
     order = np.argsort(flow)
     in_order, upto = flow[order], np.cumsum(stalled[order])
     # Rows that a threshold behind each flow in turn gives the wrong state.
     cost = np.arange(1, flow.size) - 2 * upto[:-1] + upto[-1]
+    cost = cost[: max(int(np.searchsorted(in_order, below)), 2) - 1]
     wrong = (flow <= in_order[int(np.argmin(cost))]) != stalled
     # The standard error of their number: those of one stretch are wrong together.
     slack = float(np.linalg.norm(np.diff(intervals_where(wrong), axis=1)))
