@@ -109,7 +109,7 @@ def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
     starts = [np.array([np.log(tau_s)]) for tau_s in taus_s]
     best = Bench.start(data, Structure(terms), metric, starts, block_rows(data), n_names)
     noise = best.noise(best.fit)
-    return best.in_metric_of(best.fit, replace(noise, ar=(), innovation=noise.sigma))
+    return best.in_metric_of(best.fit, replace(noise, ar=(), flow=None, innovation=noise.sigma))
 
 
 def _concluded(

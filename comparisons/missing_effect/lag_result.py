@@ -207,7 +207,12 @@ class LagDiagnosis(Diagnosis):
         if not noise.coloured and not noise.heavy_tailed:
             return f"The noise is white and about normal, {size}."
         out = [f"The noise has {size}{', outliers aside' if noise.heavy_tailed else ''}."]
-        if noise.coloured:
+        if noise.flow is not None:
+            out.append(
+                f"Noise of {significant(noise.flow_sigma, 2)} rms on φ passes through the lag into "
+                "the errors, so that rows count for less than their number."
+            )
+        elif noise.coloured:
             lags = ", ".join(f"{a:.2f}" for a in noise.ar)
             out.append(
                 f"An error depends on those before it (autoregression {lags}), so that rows count "
@@ -227,7 +232,9 @@ class LagDiagnosis(Diagnosis):
         left = self.leftover
         if not left.degrees:
             return ""
-        tested = f"{left.degrees} columns of effects and open terms together"
+        tested = "one column of the effects and open terms"
+        if left.degrees > 1:
+            tested = f"{left.degrees} columns of effects and open terms together"
         if left.structured:
             return (
                 f"Yet {tested} would win {left.gain:.0f} log-units (p {chance(left.p_value)}): "

@@ -26,8 +26,8 @@ from comparisons.missing_effect.results import SIZE
 SHORT = {"seed": 3, "n_samples": 1000}
 
 
-def bench_of(planted: str | None) -> Bench:
-    return first_bench(load_data(series_of(hidden(planted, **SHORT))), CUBIC, 15)
+def bench_of(planted: str | None, noise: str = "white") -> Bench:
+    return first_bench(load_data(series_of(hidden(planted, **SHORT, noise=noise))), CUBIC, 15)
 
 
 def with_effect(bench: Bench, name: str, *values: float) -> Bench:
@@ -52,6 +52,12 @@ def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) 
     ]
     assert size_of(bench, whole) == pytest.approx(abs(number.value) / number.stderr, rel=1e-3)
     assert (size_of(bench, whole) > 10.0) is (planted is not None)
+
+
+def test_a_race_begins_in_white_noise() -> None:
+    """A metric of noise on φ would whiten away what the model lacks."""
+    metric = bench_of(None, "phi3").metric
+    assert (metric.flow, metric.ar.size) == (None, 0)
 
 
 def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
