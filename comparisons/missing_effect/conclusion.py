@@ -257,7 +257,12 @@ def _amplitude(
 
 
 def covariance_of(fit: Fit, bench: Bench) -> FloatArray:
-    """Return the covariance of the free parameters of a fit, then its linear ones."""
+    """Return the covariance of the free parameters of a fit, then its linear ones.
+
+    The fit itself takes from the sums of few blocks: of 11 blocks and 6 numbers, a heating's error
+    came out 1.4 times too small in 40 records of normal noise and in 40 of Student noise. So no
+    error is below that of rows each for itself, which is right there (0.9 and 1.0 times).
+    """
     data = with_own_state(bench.data, fit)
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
     both = np.column_stack([solution.slopes(fit.structure.free), solution.columns])
@@ -267,7 +272,17 @@ def covariance_of(fit: Fit, bench: Bench) -> FloatArray:
     counted = rows.block >= 0
     sums = np.zeros((int(rows.block.max()) + 1, seen.shape[1]))
     np.add.at(sums, rows.block[counted], scores[counted])
-    return sandwich(seen.T @ seen, sums)[0]
+    moved = seen * _moved(bench)[:, None]
+    covariance, by_rows = (sandwich(moved.T @ moved, s)[0] for s in (sums, scores[counted]))
+    variance = np.diag(covariance)
+    wider = np.sqrt(np.maximum(1.0, np.diag(by_rows) / np.where(variance > 0.0, variance, np.inf)))
+    return np.asarray(covariance * np.outer(wider, wider))
+
+
+def _moved(bench: Bench) -> FloatArray:
+    """Return which errors count by their size: one that is held down moves nothing further."""
+    weight = bench.metric.weight
+    return np.ones(bench.data.n_samples) if weight is None else np.asarray(weight >= 1.0, float)
 
 
 def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
@@ -294,6 +309,7 @@ def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
     counted = bench.rows.block >= 0
     sums = np.bincount(bench.rows.block[counted], (alone * solution.errors)[counted])
     n_blocks = int(np.unique(bench.rows.block[counted]).size)
-    error = float(np.sqrt(np.sum(sums**2) * n_blocks / max(n_blocks - 1, 1)))
-    squared = float(alone @ alone)
+    by_rows = np.sum((alone * solution.errors)[counted] ** 2)
+    error = float(np.sqrt(max(np.sum(sums**2) * n_blocks / max(n_blocks - 1, 1), by_rows)))
+    squared = float(np.sum((alone * _moved(bench)) ** 2))
     return squared / error if error > 0.0 else (np.inf if squared > 0.0 else 0.0)

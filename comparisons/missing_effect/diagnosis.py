@@ -97,7 +97,7 @@ def diagnose_data(
     base = first_bench(data, tuple(terms), len(effects))
     final, rounds = search(base, effects, open_terms(data), most_effects)
     sets = alias_sets(final, rounds, effects)
-    found = _concluded(base, final, rounds, sets)
+    found = _concluded(base.in_own_weights(), final.in_own_weights(), rounds, sets)
     return replace(found, catalogue=tuple(catalogue), unavailable=unavailable)
 
 

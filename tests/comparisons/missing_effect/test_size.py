@@ -54,6 +54,14 @@ def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) 
     assert (size_of(bench, whole) > 10.0) is (planted is not None)
 
 
+def test_large_errors_are_held_down_by_the_model_that_stands() -> None:
+    bench = with_effect(bench_of("facility_heating", "t3"), "facility_heating", 0.01, 20.0)
+    once = bench.in_own_weights()
+    first, own, again = (b.metric.weight for b in (bench, once, once.in_own_weights()))
+    assert np.mean(np.abs(own - first)) > 0.02
+    assert np.max(np.abs(again - own)) < 0.01
+
+
 def test_a_race_begins_in_white_noise() -> None:
     """A metric of noise on φ would whiten away what the model lacks."""
     metric = bench_of(None, "phi3").metric
