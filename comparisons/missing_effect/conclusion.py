@@ -32,8 +32,6 @@ from surge_core.types import FloatArray
 
 # Standard errors below which an amplitude is not known, and its name not firm.
 LEAST_AMPLITUDE = 3.0
-# Share of its range that counts as at its bound.
-AT_BOUND = 1e-3
 
 # What a term without a name needs.
 TO_NAME = "cycles at other amplitudes and other speeds of φ, which say what the term stands for"
@@ -152,7 +150,8 @@ def _lost(amplitude: FittedParameter, parameter: Parameter, size: float) -> tupl
             "all its numbers together)",
         )
     low, high = parameter.low, parameter.high
-    at_bound = min(amplitude.value - low, high - amplitude.value) < AT_BOUND * (high - low)
+    # A share of the range in place of the error called every a₂ below 1e-4 s² lost.
+    at_bound = min(amplitude.value - low, high - amplitude.value) <= amplitude.stderr
     if abs(amplitude.value) < LEAST_AMPLITUDE * amplitude.stderr:
         errors = abs(amplitude.value) / amplitude.stderr
         lost = f"is not distinguished from zero ({errors:.1f} standard errors)"
