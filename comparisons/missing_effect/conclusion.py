@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
-from comparisons.missing_effect.catalogue.workings import shape_columns, stall_episodes
+from comparisons.missing_effect.catalogue.workings import shape_columns
 from comparisons.missing_effect.covariance import largest_correlation, orthonormal, sandwich
 from comparisons.missing_effect.effect import Effect, FittedParameter, Parameter
 from comparisons.missing_effect.fit import Fit, solved
@@ -249,10 +249,22 @@ def _amplitude(
         worst = int(np.argmax(np.abs(added)))
         return float(added[worst]), float(np.sqrt(np.sum((curve[worst] * errors) ** 2)))
     if effect.episodes:
-        size = float(np.sqrt(2.0 * np.mean(coefficients**2)))
-        n = len(stall_episodes(data, float(fit.values_of(effect)[1])))
-        return size, float(np.sqrt(np.mean(errors**2) / max(n, 1)))
+        return _size_of_waves(coefficients, errors)
     return float(coefficients[0]), float(errors[0])
+
+
+def _size_of_waves(waves: FloatArray, errors: FloatArray) -> tuple[float, float]:
+    """Return the size of sines and cosines of any phase, in turn, and its error.
+
+    Each pair weighs by what it knows; the errors of its waves are part of their squares. Of eight
+    records with 20 to 60 episodes r is off by 0.15 to 1.5 errors.
+    """
+    squares, variances = (np.sum(v.reshape(-1, 2) ** 2, axis=1) for v in (waves, errors))
+    # An episode that is not scored knows nothing.
+    weight = np.where(variances > 0.0, 1.0 / np.where(variances > 0.0, variances, 1.0), 0.0)
+    known = max(float(np.sum(weight)), 1e-300)
+    squared = float(weight @ (squares - variances)) / known
+    return float(np.sqrt(max(squared, 0.0))), float((2.0 * known) ** -0.5)
 
 
 def covariance_of(fit: Fit, bench: Bench) -> FloatArray:
