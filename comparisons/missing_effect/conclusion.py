@@ -15,7 +15,7 @@ from comparisons.missing_effect.fit import Fit, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.open_terms import with_own_state
-from comparisons.missing_effect.ports import n_powers
+from comparisons.missing_effect.ports import Ports, n_powers
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
 from comparisons.missing_effect.results import (
     CORRELATION,
@@ -265,6 +265,22 @@ def _size_of_waves(waves: FloatArray, errors: FloatArray) -> tuple[float, float]
     known = max(float(np.sum(weight)), 1e-300)
     squared = float(weight @ (squares - variances)) / known
     return float(np.sqrt(max(squared, 0.0))), float((2.0 * known) ** -0.5)
+
+
+def is_of_stall_alone(effect: Effect, size: FittedParameter, fit: Fit, bench: Bench) -> bool:
+    """Tell whether the tone of a ripple is weaker out of stall, beyond its errors.
+
+    Where no rows are out of stall, or the tone goes on there, hum of the mains looks the same.
+    """
+    data, gate = with_own_state(bench.data, fit), fit.values_of(effect)[1]
+    stalled = data["in_stall"] if "in_stall" in data else np.asarray(data["phi"] < gate, float)
+    outside = data.with_signal("in_stall", 1.0 - stalled)
+    columns = effect.acts(Ports.of(data, data["phi"], ()), outside, fit.values_of(effect)).added
+    seen = bench.metric.whitened(columns, data)
+    inverse = np.linalg.pinv(seen.T @ seen)
+    waves = inverse @ (seen.T @ fit.errors(data, bench.metric))
+    there, error = _size_of_waves(waves, np.sqrt(np.diag(inverse)))
+    return bool(size.value - there > LEAST_AMPLITUDE * np.hypot(size.stderr, error))
 
 
 def covariance_of(fit: Fit, bench: Bench) -> FloatArray:

@@ -10,11 +10,16 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
-from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
+from comparisons.missing_effect.conclusion import (
+    AliasSets,
+    concluded,
+    is_of_stall_alone,
+    missing_effect,
+)
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Structure
 from comparisons.missing_effect.lag_data import LagData
-from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.lag_result import COARSE, LagDiagnosis
 from comparisons.missing_effect.loading import block_rows, is_whole, load_data
 from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
@@ -31,6 +36,10 @@ MOST_EFFECTS = 3
 # Errors with more memory than this are a drift that no term explains, and not a noise.
 LARGEST_MEMORY = 0.9
 BESIDE_A_TERM = "a term without a name had to stand beside it"
+IN_ALL_ROWS = (
+    "its tone is not shown to be weaker out of stall, and hum of the mains at 50 or 60 Hz or a "
+    "tone of the structure looks the same"
+)
 NO_SMALLER = "it makes the error on held-out rows no smaller"
 
 
@@ -121,6 +130,7 @@ def _concluded(
     diagnosis = concluded(base, final, rounds, sets, _otherwise(leftover, noise), doubts)
     if not doubts:
         diagnosis = _beside_kin(diagnosis, final)
+    diagnosis = _of_instrument(diagnosis, final)
     verdict = diagnosis.verdict
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.
@@ -146,6 +156,18 @@ def _beside_kin(diagnosis: LagDiagnosis, final: Bench) -> LagDiagnosis:
         for effect, item in zip(final.found, diagnosis.missing, strict=True)
     )
     return replace(diagnosis, missing=missing, verdict=verdict_of(missing, diagnosis.verdict))
+
+
+def _of_instrument(diagnosis: LagDiagnosis, final: Bench) -> LagDiagnosis:
+    """Doubt what the readings may make by themselves: a tone in all rows, and coarse steps."""
+    missing, after, step = list(diagnosis.missing), diagnosis.after, diagnosis.coarse_step
+    for i, (effect, item) in enumerate(zip(final.found, diagnosis.missing, strict=True)):
+        if effect.episodes and not is_of_stall_alone(effect, item.parameters[0], after, final):
+            missing[i] = missing[i].doubted(IN_ALL_ROWS)
+        if step:
+            missing[i] = missing[i].doubted(f"readings of ψ' step by {step:.3g}, {COARSE}")
+    verdict = verdict_of(missing, diagnosis.verdict)
+    return replace(diagnosis, missing=tuple(missing), verdict=verdict)
 
 
 def _stands_in(kin: Effect, effect: Effect, final: Bench) -> bool:

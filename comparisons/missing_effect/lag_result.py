@@ -66,6 +66,10 @@ _TAU_MEANING = {
     "flow_dependent_lag": "that above the threshold",
     "asymmetric_lag": "the mean of rising and falling flow",
 }
+# Rounding follows the signal itself unless noise of half a step is there before it (Widrow and
+# Kollár, Quantization Noise, 2008): half a step, and the step's own share of 1/√12.
+DITHERED = float(np.sqrt(1.0 / 4.0 + 1.0 / 12.0))
+COARSE = "which no noise rounds off, so that their rounding follows ψ' itself"
 # A τ that moves by less is said to stay.
 _LEAST_CHANGE = 5e-4
 _NOISE = ("sigma", "innovation", "ar", "heavy_share", "coloured", "heavy_tailed")
@@ -194,6 +198,14 @@ class LagDiagnosis(Diagnosis):
         return now, f"τ goes from {tau_ms(row.before, row.before_stderr)} to {now}{means}"
 
     @property
+    def coarse_step(self) -> float:
+        """Step of the readings of ψ' where no noise rounds it off; 0 otherwise."""
+        data = self.data
+        own = [data.measured[data.record == number] for number in range(len(data.sources))]
+        step = max(float(np.diff(np.unique(one)).min(initial=np.inf)) for one in own)
+        return step if self.noise.sigma < DITHERED * step < np.inf else 0.0
+
+    @property
     def noise_said(self) -> str:
         """What the noise is like."""
         noise, floor = self.noise, self.gap.floor_rms
@@ -206,7 +218,8 @@ class LagDiagnosis(Diagnosis):
         size = f"rms {significant(noise.sigma, 3)} in ψ'"
         if not noise.coloured and not noise.heavy_tailed:
             return f"The noise is white and about normal, {size}."
-        out = [f"The noise has {size}{', outliers aside' if noise.heavy_tailed else ''}."]
+        out = [f"Readings of ψ' step by {self.coarse_step:.3g}, {COARSE}."] * bool(self.coarse_step)
+        out.append(f"The noise has {size}{', outliers aside' if noise.heavy_tailed else ''}.")
         if noise.flow is not None:
             out.append(
                 f"Noise of {significant(noise.flow_sigma, 2)} rms on φ passes through the lag into "

@@ -7,13 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from classic_ml.units import (
-    Conversion,
-    conversion_to_si,
-    kind_of_unit,
-    same_unit,
-    split_reference,
-)
+from classic_ml.units import Conversion, conversion_to_si, kind_of_unit, same_unit, split_reference
 from surge_core.errors import InputError
 
 INCH, FOOT, POUND, GRAVITY = (

@@ -10,10 +10,7 @@ from comparison_data import fit_rows
 from lag_data import TAU_S, flow, lagged
 
 from comparisons.cli.options import time_constant
-from comparisons.harness.tau_trial import (
-    reconstruction_error_over_tau,
-    trial_taus,
-)
+from comparisons.harness.tau_trial import reconstruction_error_over_tau, trial_taus
 from comparisons.results import FitRows, TauTrial
 
 

@@ -10,14 +10,7 @@ from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
-from comparisons.results import (
-    Caution,
-    Comparison,
-    EstimatorResult,
-    FitRows,
-    FitScore,
-    FittedLag,
-)
+from comparisons.results import Caution, Comparison, EstimatorResult, FitRows, FitScore, FittedLag
 
 LOW_PASS = LedgerEntry(
     "filter",

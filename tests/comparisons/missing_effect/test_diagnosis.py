@@ -268,6 +268,25 @@ def test_a_record_without_the_flag_of_stall_still_shows_its_ripple() -> None:
     assert gate.value == pytest.approx(true["phi_threshold"], abs=0.12)
 
 
+def hummed(r: CoefficientSeries) -> CoefficientSeries:
+    return replace(r, psi_p=r.psi_p + 4e-3 * np.sin(2.0 * np.pi * 31.0 * r.time_s))
+
+
+def coarse(r: CoefficientSeries) -> CoefficientSeries:
+    return replace(r, psi_p=0.025 * np.round(r.psi_p / 0.025))
+
+
+@pytest.mark.parametrize(
+    ("made", "effect", "why"),
+    [(hummed, None, "weaker out of stall"), (coarse, "speed_droop", "readings of ψ' step by")],
+)
+def test_what_readings_make_themselves_stands_behind_no_firm_name(
+    made: Callable[..., CoefficientSeries], effect: str | None, why: str
+) -> None:
+    d = diagnose([made(record) for record in series_of(hidden(effect, **SHORT))], 3)
+    assert {why in " ".join(item.doubts) for item in d.missing} == {True}
+
+
 @pytest.fixture
 def records() -> Records:
     return series_of(hidden(None, seed=3, n_samples=300))

@@ -19,10 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from comparisons.rig.coefficient_plant import draw_plant
 from comparisons.rig.coefficient_runs import backlash, constant_lag, run_record
-from comparisons.rig.coefficient_tests import (
-    CoefficientTest,
-    simulate_test,
-)
+from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 
 FloatArray = NDArray[np.float64]
 Right = Callable[[float, FloatArray], FloatArray | float | list[float]]

@@ -10,14 +10,7 @@ import pytest
 from rig_records import rig_run
 
 from comparisons.cli import main
-from comparisons.rig import (
-    CASES,
-    HIDEABLE,
-    RigRun,
-    SensorSettings,
-    simulate,
-    write_run,
-)
+from comparisons.rig import CASES, HIDEABLE, RigRun, SensorSettings, simulate, write_run
 from comparisons.rig.hidden import (
     BRANCH_PHIS,
     BUMP_PHI,
