@@ -174,12 +174,15 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                 )
             for name, cell in zip(found.names, cells, strict=True):
                 is_truth = name in found.truths and cell.lower() in TRUTHS
+                flag = cell.lower() in ("yes", "no", "on", "off")
                 if name in names and not is_truth and _number(cell, found.decimal) is None:
                     return InputError(
                         f"{file}: column {name}",
-                        expected="a finite number in every row",
+                        expected="0 or 1" if flag else "a finite number in every row",
                         found=f"{cell!r} in row {row}" if cell else f"an empty cell in row {row}",
-                        remedy=NOT_FINITE_REMEDY
+                        remedy="write 0 or 1 in every row"
+                        if flag
+                        else NOT_FINITE_REMEDY
                         + (
                             "; save it with points in all numbers and nothing between thousands"
                             if any(sign.isdigit() for sign in cell)

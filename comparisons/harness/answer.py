@@ -171,6 +171,12 @@ def _not_believed(comparison: Comparison) -> str:
             "the series lies without the ledger that `sindy-surge reduce` wrote beside it, and its "
             "unfiltered columns cannot be read without; copy both"
         )
+    elif not (whole or any(record.history for record in comparison.records)):
+        why = (
+            "a low-pass before the flow equation biases τ, and no ledger of `sindy-surge reduce` "
+            "says whether these signals passed one. If they did not, τ is that of the fits that "
+            "nothing speaks against"
+        )
     elif not whole:
         why = (
             "the series carries no unfiltered run, which `sindy-surge reduce` writes, and a "

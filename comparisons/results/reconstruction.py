@@ -61,6 +61,12 @@ class Reconstruction:
     seen: bool = False
 
     @property
+    def label(self) -> str:
+        """What people call the estimator of the model."""
+        name, on_rows = self.model.estimator, getattr(self.model, "rows", "") == "filtered"
+        return "armax on the rows" if on_rows and name == "classic_ml" else estimator_label(name)
+
+    @property
     def beyond(self) -> BoolArray:
         """Rows whose φ lies outside the model's range of trust, of shape (n,)."""
         low, high = self.model.valid_phi
@@ -133,8 +139,8 @@ class Reconstruction:
 # Heading of each column of the table, and what it says.
 RECONSTRUCTION_COLUMNS = {
     "model": "the estimator that found it",
-    "scored": "rows: low-passed, or unfiltered and averaged over a period of the stall cells, as "
-    "the model was fitted to",
+    "scored": "rows: as the series gives them, or unfiltered and averaged over a period of the "
+    "stall cells, as the model was fitted to",
     "rows": "how many",
     "rms": "of measured minus reconstructed",
     "fit [%]": "100 (1 - error / spread of the measurement)",
@@ -159,8 +165,8 @@ def reconstruction_grids(runs: Sequence[Reconstruction]) -> tuple[Grid, ...]:
     groups: dict[str, list[tuple[str, ...]]] = {}
     for run in runs:
         row = (
-            named(estimator_label(run.model.estimator), run.model.estimator),
-            run.rows.kind,
+            named(run.label, run.model.estimator),
+            run.rows.called,
             str(run.score.n_rows),
             significant(run.score.rms, 3),
             f"{run.score.fit_percent:.1f}",

@@ -53,6 +53,11 @@ class FitRows:
         """Which signals they hold."""
         return "filtered" if self.averaged is None else "unfiltered"
 
+    @property
+    def called(self) -> str:
+        """What a reader calls them: a series without a ledger may never have been filtered."""
+        return "given" if self.averaged is None else "unfiltered"
+
     def terms(self, at: Terms) -> FloatArray:
         """Return terms of φ in these rows, of shape (n, q)."""
         return at(self.phi) if self.averaged is None else self.averaged(at)

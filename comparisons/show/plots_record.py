@@ -16,7 +16,7 @@ from comparisons.harness.fit_quality import rms
 from comparisons.missing_effect.loading import surge_frequency_hz
 from comparisons.page import style
 from comparisons.page.blocks import Picture
-from comparisons.results import SYMBOLS, Comparison, FitRows, Reconstruction, estimator_label
+from comparisons.results import SYMBOLS, Comparison, FitRows, Reconstruction
 from comparisons.results.names import NAMES
 from surge_core.rounding import significant
 from surge_core.segments import runs_of
@@ -194,13 +194,14 @@ def reconstruction(comparison: Comparison, record: int = 0, kind: str = "filtere
         f"{r.label} {significant(rms(measured - r.trained[own]), 2)}" for r in results
     )
     return Picture(
-        f"Reconstructed {NAMES[rows.target]}, {kind} rows of {source}",
+        f"Reconstructed {NAMES[rows.target]}, {rows.called} rows of {source}",
         figure,
         f"Measured {SYMBOLS[rows.target]} of {source} from {time_s[0]:.2f} to {time_s[-1]:.2f} s "
         "and its free runs by fits to the rows not held out. rms of the error: "
         f"{errors}.",
-        f"As Fig 27 of the paper. Above: {first.label}; below: all that were fitted to {kind} "
-        "rows, around the border to the held-out cycles. A free run knows the measured flow, and "
+        f"As Fig 27 of the paper. Above: {first.label}; below: all that were fitted to "
+        f"{rows.called} rows, around the border to the held-out cycles. A free run knows the "
+        "measured flow, and "
         "of the measured coefficient only the first row of each segment. Shaded cycles were held "
         "out: the lines drawn are of a fit to the other cycles alone.",
     )
@@ -214,10 +215,7 @@ def validation(validated: Sequence[Reconstruction]) -> Picture:
     """
     best, rows = validated[0], validated[0].rows
     styles = style.estimator_styles(run.model.estimator for run in validated)
-    runs = {
-        estimator_label(run.model.estimator): (styles[run.model.estimator], run.reconstructed)
-        for run in validated
-    }
+    runs = {run.label: (styles[run.model.estimator], run.reconstructed) for run in validated}
     every = np.ones(rows.phi.size, dtype=np.bool_)
     label = r"$\varphi$ beyond where it dwelt in the fit"
     figure = _two_panels(rows, every, runs, best.beyond, label, band=best.band)
@@ -226,9 +224,9 @@ def validation(validated: Sequence[Reconstruction]) -> Picture:
         for label, run in zip(runs, validated, strict=True)
     )
     return Picture(
-        f"Validation: {best.title}, {rows.kind} rows",
+        f"Validation: {best.title}, {rows.called} rows",
         figure,
-        f"Measured {best.title}, {rows.kind} rows, and free runs of saved models; rms "
+        f"Measured {best.title}, {rows.called} rows, and free runs of saved models; rms "
         f"{scores}. In {100.0 * best.outside:.0f} % of the rows φ lies beyond where it "
         "dwelt in the fit.",
         f"Nothing was refitted. Above {next(iter(runs))} over "

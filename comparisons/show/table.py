@@ -12,7 +12,6 @@ from comparisons.harness.work_fit import is_vague, why_withheld
 from comparisons.results import (
     Comparison,
     Reconstruction,
-    estimator_label,
     reconstruction_grids,
     texts_of,
 )
@@ -64,10 +63,8 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     lines = [
         line for grid in reconstruction_grids(runs) for line in (grid.title, *_ruled(grid), "")
     ]
-    names = dict.fromkeys(run.model.estimator for run in runs)
-    called = [
-        f"{name} ({estimator_label(name)})" for name in names if estimator_label(name) != name
-    ]
+    names = {run.model.estimator: run.label for run in runs}
+    called = [f"{name} ({label})" for name, label in names.items() if label != name]
     legend = _wrapped(f"names of the models: {'; '.join(called)}", "", "   ") if called else []
     return "\n".join([*lines[: None if legend else -1], *legend])
 

@@ -55,10 +55,14 @@ def test_simulate_reduce_compare_save_reconstruct(raw: Path, tmp_path: Path) -> 
     assert score["r2"] > 0.8
 
 
-def test_a_plain_series_of_three_columns_is_enough(tmp_path: Path) -> None:
-    file, out = tmp_path / "s.csv", tmp_path / "c.json"
+def test_a_plain_series_of_three_columns_is_enough(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out, model = tmp_path / "s.csv", tmp_path / "c.json", tmp_path / "m.json"
     series_table().to_csv(file, index=False)
-    assert run("compare", file, "--json", out, "--degree", 2) == 0
+    assert run("compare", file, "--json", out, "--degree", 2, "--save", model) == 0
+    assert run("reconstruct", model, file) == 0
+    assert "armax on the rows" in capsys.readouterr().out.split("models were fitted")[1]
     estimators = json.loads(out.read_text("utf-8"))["estimators"]
     for name in ("classic_ml", "sindy"):
         tau = estimators[name]["time_constant_s"]
