@@ -279,10 +279,17 @@ class Trajectories:
     def within(self, rows: int | None = None) -> BoolArray:
         """Return whether a row and the next belong together, (n_rows - 1,).
 
-        With ``rows`` each trajectory is cut into segments of so many.
+        With ``rows`` each trajectory is cut into segments of so many; half a segment further where
+        the inputs move less there. A start is free: of a step at a cut nothing shows.
         """
         offset = self.runs.offsets()[1:]
-        return np.asarray(offset % rows != 0 if rows else offset > 0)
+        if rows is None:
+            return np.asarray(offset > 0)
+        size = np.maximum(np.ptp(self.u, axis=0), 1e-300)
+        moves = np.sum(np.abs(np.diff(self.u, axis=0)) / size, axis=1)
+        cuts = [(offset + more) % rows == 0 for more in (0, rows // 2)]
+        cut = min(cuts, key=lambda here: float(moves[here & (offset > 0)].sum()))
+        return np.asarray((offset > 0) & ~cut)
 
     @cached_property
     def end_inputs(self) -> FloatArray:

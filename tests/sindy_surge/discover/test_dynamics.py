@@ -129,9 +129,9 @@ def test_a_hidden_state_behind_a_known_equation():
     assert lag.coefficient == pytest.approx(-4.0, abs=4 * lag.stderr)
 
 
-def test_an_input_that_is_held_between_rows():
+def test_an_input_that_is_held_between_rows_in_steps_as_long_as_a_segment():
     rng, t, a = np.random.default_rng(5), np.arange(1500) * STEP_S, np.exp(-0.7 * STEP_S)
-    u = np.repeat(rng.uniform(-1, 1, 75), 20)
+    u = np.repeat(rng.uniform(-1, 1, 25), 60)
     run = lfilter([0.0, (1.0 - a) * 0.5 / 0.7], [1.0, -a], u)
     model = SparseDynamics().fit(run + 0.02 * run.std() * rng.standard_normal(1500), t, u=u)
     assert (model.held_inputs_, model.equations(1)) == (("u0",), ["-0.7 x0 + 0.5 u0"])
