@@ -207,6 +207,12 @@ class FitState(StrEnum):
         "the model cycles, but its period or an extreme is more than 5 % off the record's: look "
         "for a missing effect, a time shift between the channels, or cycles that drift",
     )
+    PERIOD_OFF = (
+        "period_off",
+        "the model's period is more than five of its own errors off the record's: its terms follow "
+        "the curve, but coefficients, τ or levels are off by more than their errors say; sample "
+        "faster, or look for a missing effect",
+    )
     CONSTANT_SIGNAL = (
         "constant_signal",
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "

@@ -7,8 +7,9 @@ noise of the terms is averaged by the integral.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -57,6 +58,12 @@ class FittedSum:
     def stderr(self) -> FloatArray:
         """Standard errors of the coefficients."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def one_error_off(self) -> list[Self]:
+        """Return it moved by a standard error along each axis of its covariance."""
+        size, axes = np.linalg.eigh(self.covariance)
+        moves = (axes * np.sqrt(np.maximum(size, 0.0))).T
+        return [replace(self, coefficients=self.coefficients + move) for move in moves]
 
 
 @dataclass(frozen=True)

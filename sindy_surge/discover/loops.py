@@ -32,6 +32,8 @@ _TOLERANCE = 1e-8
 _CYCLES = 10
 # Simulated and measured cycles agree within this.
 _AGREEMENT = 0.05
+# Errors of its own period by which a model may miss the measured one; of right structures 1.5.
+_SURE = 5.0
 # Of the right structure the rest of ψ' is its white noise, and what the noise of φ adds.
 _EXCESS = 2.0
 _Rate = Callable[[float, FloatArray], FloatArray]
@@ -275,7 +277,7 @@ def discover_loop(
             remedy="use a longer record, or sample faster",
         )
     period_samples = round(cycles.period_s / step)
-    rows = LagRows(smooth[0], measured[1], runs, step, period_samples, noise[0])
+    rows = LagRows(smooth[0], measured[1], runs, step, period_samples, noise[0]).refined()
     one, richest = fit_one_branch(rows)
     two = fit_two_branches(rows, one.time_constant_s)
     richest = min(richest, one.rest)
@@ -283,11 +285,14 @@ def discover_loop(
     kept = (two.rest**2 - white) / max(richest**2 - white, 1e-300)
     lag = two if kept < _SHARE and two.better_than(one) else one
     if plenum is None:
-        smooth.append(hidden_plenum(smooth[0], smooth[1], step, period_samples))
-        measured.append(smooth[-1])
+        hidden, duct = hidden_plenum(measured, smooth, step, period_samples)
+        smooth.append(hidden)
+        measured.append(hidden)
         cycles = measure_cycles(np.column_stack(smooth), step)
     states = np.column_stack(smooth)
-    duct, balance = (fit_balance(measured[i], states, runs, period_samples, step) for i in (0, 2))
+    if plenum is not None:
+        duct = fit_balance(measured[0], states, runs, period_samples, step)
+    balance = fit_balance(measured[2], states, runs, period_samples, step)
     whole = states[: period_samples + 1]
     start = whole[int(np.argmin(whole[:, 0]))]
     none = Cycles(np.nan, (), (), 0)
@@ -338,14 +343,31 @@ def _judged(loop: SurgeLoop) -> SurgeLoop:
     found = measure_cycles(states, step)
     loop = replace(loop, simulated_cycles=found)
     measured = loop.measured_cycles
-    state = FitState.OK
+    state, off_s = FitState.OK, abs(found.period_s - measured.period_s)
     if found.n_cycles < _CYCLES // 2:
         state = FitState.DOES_NOT_CYCLE
     elif _difference(measured, found) > _AGREEMENT:
         state = FitState.CYCLES_DIFFER
     elif loop.lag.rest > _EXCESS * loop.noise:
         state = FitState.MODEL_ERROR_DOMINATES
+    elif off_s > _SURE * _period_error(replace(loop, start=states[int(np.argmin(states[:, 0]))])):
+        state = FitState.PERIOD_OFF
     return replace(loop, state=state)
+
+
+def _period_error(loop: SurgeLoop) -> float:
+    """Return the standard error of the simulated period, from those of all that it runs by.
+
+    On the limit cycle, where ``loop`` starts, a period is enough to settle again.
+    """
+    period_s, step = loop.period_s, loop.sample_period_s
+    times, skipped = np.arange(0.0, 3.2 * period_s, step), round(period_s / step)
+    moved = [replace(loop, duct=each) for each in loop.duct.one_error_off()]
+    moved += [replace(loop, plenum=each) for each in loop.plenum.one_error_off()]
+    moved += [replace(loop, lag=each) for each in loop.lag.one_error_off()]
+    found = [measure_cycles(each.simulate(t=times)[skipped:], step).period_s for each in moved]
+    # Where a standard error stops the cycles, the period says nothing.
+    return float(np.nan_to_num(np.linalg.norm(np.subtract(found, period_s)), nan=np.inf))
 
 
 def _difference(measured: Cycles, simulated: Cycles) -> float:

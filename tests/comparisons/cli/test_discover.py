@@ -110,6 +110,6 @@ def test_a_plenum_that_was_not_measured_is_taken_from_the_duct() -> None:
     n = phi.size
     series = CoefficientSeries(np.arange(n) * STEP_S, phi, psi_p, np.ones(n, dtype=np.int64))
     loop = discover_series_loop(series)
-    assert loop.plenum_hidden
+    assert (loop.plenum_hidden, loop.duct.terms) == (True, ("psi_p", "plenum"))
     assert loop.n_branches == 2
     assert abs(loop.time_constant_s / machine.tau_s - 1) < 0.01
