@@ -7,14 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
+from sindy_surge.discover.trajectories import LEAST_NOISE
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
+
+# What the last digit leaves, as a share of a column's spread: a fifth of the least noise assumed.
+_ROUNDED = 0.2 * LEAST_NOISE
 
 
 def apart(columns: FloatArray, names: Sequence[str]) -> None:
     """Refuse a column that does not move, or that others give without error."""
     moving(columns, names)
     scaled = (columns - columns.mean(axis=0)) / np.std(columns, axis=0)
+    # Two measurements of one quantity differ by their noise; the same one twice, by its digits.
+    same = np.abs(np.corrcoef(scaled, rowvar=False)) if len(names) > 1 else np.zeros((1, 1))
+    for i, j in np.argwhere(np.triu(same > 1.0 - _ROUNDED**2, 1)).tolist():
+        raise InputError(
+            names[j],
+            expected="a column of its own",
+            found=f"a straight line of {names[i]}, but for its last digits",
+            remedy="leave one of the two out: it is the same measurement twice",
+        )
     for j in np.setdiff1d(np.arange(len(names)), independent_columns(scaled)).tolist():
         raise InputError(
             names[j],

@@ -299,7 +299,7 @@ def test_bad_options_are_named(options, where):
         (np.random.default_rng(0).random((100, 2)), -0.1, None, "t"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.ones(50), "u of trajectory 0"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.full(100, 0.1), "u0"),
-        (np.random.default_rng(0).random((100, 1)) * [1, 2], 0.1, None, "x1"),
+        (np.random.default_rng(0).random((100, 1)).round(6) * [1, 0.3], 0.1, None, "x1"),
         (np.ma.masked_less(np.random.default_rng(0).random((100, 2)), 0.1), 0.1, None, "x"),
         (np.random.default_rng(0).random((3, 2)), np.arange(3).astype("m8[s]"), None, "t"),
     ],
