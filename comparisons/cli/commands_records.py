@@ -399,8 +399,9 @@ DISCOVER = Command(
         argument(
             "--loop",
             action="store_true",
-            help="FILE is a reduced series: find the surge loop behind it, with one branch of the "
-            "characteristic or two",
+            help="FILE is a reduced series: find the surge loop behind its phi and psi_p "
+            "(unfiltered ones where it has them), with one branch or two; the plenum pressure is "
+            "the column plenum of a CSV, in the unit of psi_p, and hidden without it",
         ),
         argument("--inputs", default="", metavar="u", help="columns that are inputs"),
         argument(

@@ -86,8 +86,13 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
     with shown_steps(3) as begin:
         begin("reading")
         series = read_series(path)
+        plenum = None
+        if path.suffix.lower() == ".csv":
+            with open_csv(path, FileLayout()) as stored:
+                there = "plenum" in stored.names
+            plenum = _table(path, ("plenum",))[:, 1] if there else None
         begin("finding branches, levels and lag")
-        found = discover_series_loop(series)
+        found = discover_series_loop(series, plenum)
         begin("writing")
         section = path.name, loop_parts(found, path.name)
         written = write_asked(
@@ -98,10 +103,10 @@ def _loop(given: argparse.Namespace) -> Iterable[str]:
     return *loop_lines(found), *written
 
 
-def discover_series_loop(series: CoefficientSeries) -> SurgeLoop:
+def discover_series_loop(series: CoefficientSeries, plenum: FloatArray | None = None) -> SurgeLoop:
     """Discover the loop of a reduced record, from its unfiltered columns where it has them.
 
-    The rows of its free run count where they are marked; the pressure of the plenum is hidden.
+    The rows of its free run count where they are marked; a plenum pressure not given is hidden.
     """
     phi, psi_p = series.phi, series.psi_p
     if series.phi_unfiltered is not None and series.psi_p_unfiltered is not None:
@@ -110,7 +115,8 @@ def discover_series_loop(series: CoefficientSeries) -> SurgeLoop:
     if series.free_run is not None and np.any(series.free_run > 0):
         inside = np.flatnonzero(series.free_run > 0)
         rows = slice(inside[0], inside[-1] + 1)
-    return discover_loop(phi[rows], psi_p[rows], None, series.sample_period_s)
+    third = None if plenum is None else plenum[rows]
+    return discover_loop(phi[rows], psi_p[rows], third, series.sample_period_s)
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:
@@ -186,7 +192,10 @@ def _library(text: str, names: Sequence[str]) -> Any:
                 "--library",
                 expected=f"poly1 to poly{HIGHEST_DEGREE} and {', '.join(FUNCTIONS)} of a column, "
                 "joined by +, such as 'poly3+sqrt(psi)'",
-                found=part or "nothing",
+                found=f"{part}, and {inner} is no column of the fit"
+                if function in FUNCTIONS and inner and inner not in names
+                else part or "nothing",
+                remedy=f"those of the fit are {', '.join(names)}",
             )
     if len(parts) == 1:
         return parts[0]
