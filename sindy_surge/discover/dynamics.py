@@ -168,8 +168,11 @@ class SparseDynamics(BaseEstimator):
         if (moved := read_late(levels[0], best, rates, given, optimizer)) is not None:
             level, fewer, late = moved
             self._keep([level, *levels], fewer, late)
-            if before not in CLEAN and self.state_ is not FitState.READ_LATE:
-                # With the readings moved something else is missing as well.
+            # With the readings moved something else is missing as well; or no term is needless,
+            # where one beyond the library explains as much.
+            more = before not in CLEAN and self.state_ is not FitState.READ_LATE
+            as_many = len(fewer.support) >= len(best.support)
+            if more or (before is FitState.LIBRARY_TOO_SMALL and as_many):
                 self._keep(levels, best)
         return self
 

@@ -24,7 +24,7 @@ ASKED = (*CLEAN, *COLOURED, FitState.LIBRARY_TOO_SMALL)
 # Of splines through the inputs, beside the cubic ones: where both agree, either will do.
 _OTHER_DEGREE = 5
 # What is left over the noise that differences show, before a run of it withholds the equations.
-_EXCESS = 1.2
+EXCESS = 1.2
 # Lags at which what the equations leave is held against white noise, and how rarely that may fail
 # by chance. A pendulum with cubic terms and 2 % noise left 1.03 times the noise, and its
 # coefficients were off by seven and more of their stated errors.
@@ -51,7 +51,7 @@ def ended(
     # States that follow noisy inputs leave coloured errors even of the right model.
     new = problem.innovations(best.fit)[:, ~problem.hidden] if problem.input_noise.any() else left
     coloured = (np.std(left, axis=0) > least) & _coloured(new, problem.data.runs)
-    large = np.std(left, axis=0) > _EXCESS * problem.data.noise[~problem.hidden]
+    large = np.std(left, axis=0) > EXCESS * problem.data.noise[~problem.hidden]
     # The largest of so many normal numbers; one run may be noisier than another.
     most = norm.isf(_BY_CHANCE / (2.0 * left.size))
     runs = [left[rows] for rows in problem.data.runs.slices()]

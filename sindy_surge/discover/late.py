@@ -11,6 +11,7 @@ from numpy.linalg import LinAlgError
 from scipy.interpolate import make_interp_spline
 
 from sindy_surge.discover.collocation import Fit
+from sindy_surge.discover.ending import EXCESS
 from sindy_surge.discover.levels import RIVAL, Level, searched, start_about
 from sindy_surge.discover.trajectories import Trajectories
 from sindy_surge.linear_problem import LinearProblem, Support
@@ -133,6 +134,10 @@ def _looked(level: Level, best: Tried[Fit], late: Support, late_s: float) -> flo
         with np.errstate(all="ignore"):
             linear = free.regression(start_about(free, x, best.fit.u, np.concatenate(parts)))
     except (LinAlgError, ValueError):
+        return np.inf
+    # Where with all terms more is left than noise leaves, no choice of them explains the record.
+    rows = np.count_nonzero(free.joined) * np.count_nonzero(~free.hidden)
+    if linear.outside > EXCESS**2 * rows:
         return np.inf
     # For one equation all terms of the others are left free: a delay makes terms in several. It
     # takes terms away, so that no more than those at hand are looked for.
