@@ -301,15 +301,17 @@ def _combined(
     stacked_rows(rows).fitted(model)
     reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
     low_s, high_s = tau_s / reach, tau_s * reach
+    covariance = answer.covariance + planes.curve
     if other is not None:
         low_s, high_s = min(low_s, other.ci95_s[0]), max(high_s, other.ci95_s[1])
         share = math.log(high_s / low_s) / (2.0 * QUANTILE)
+        covariance = covariance + _over_interval(tau_s, (low_s, high_s), fits)
     run = WholeRecordRun(
         tau_s,
         tau_s * share,
         polynomial_names("phi", degree),
         answer.coefficients,
-        answer.covariance + planes.curve,
+        covariance,
         degree,
         sum(fit.cycles.n for fit in fits),
         state,
@@ -339,6 +341,18 @@ def _curve_at(tau_s: float, fit: WholeRecordFit) -> FloatArray:
     reading = fit.reading
     run = FreeRun.of(reading.passes, reading.spec, reading.in_stall, fit.fit.scored)
     return run.profile(tau_s)[0][: reading.spec.degree + 1]
+
+
+def _over_interval(
+    tau_s: float, ci95_s: tuple[float, float], fits: tuple[WholeRecordFit, ...]
+) -> FloatArray:
+    """Return the covariance of a curve whose 95 % band holds that at the far end of τ's interval.
+
+    Curve and τ err together: where τ may be that of another reading, so may the curve.
+    """
+    far_s = max(ci95_s, key=lambda end_s: abs(math.log(end_s / tau_s)))
+    moves = np.array([_curve_at(far_s, fit) - _curve_at(tau_s, fit) for fit in fits]) / QUANTILE
+    return np.asarray(moves.T @ moves / len(fits))
 
 
 def _mean_curve(

@@ -22,7 +22,7 @@ from classic_ml.whole_record.passes import Passes, cell_frequency_hz, passes_of,
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
 from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
 from classic_ml.whole_record_fit import fit_whole_record, jackknife, with_stored_gas
-from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
+from classic_ml.whole_record_run import WholeRecordRun, _combined, _curve_at, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
 from surge_core.errors import InputError
@@ -255,11 +255,14 @@ def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRu
     far = replace(second, time_constant_s_=0.04, time_constant_stderr_s_=0.002)
     found = _combined([series], fitted.fits_, far)
     assert found.fit_state_ is FitState.TWO_READINGS
-    assert found.second_reading_ is not None
-    assert found.second_reading_.value_s == 0.04
-    own = fitted.fits_[0]
+    own, other = fitted.fits_[0], found.second_reading_
+    assert other is not None and other.value_s == 0.04  # noqa: PT018
+    # So does the band of the curve.
+    phi = found.trusted_phi
+    apart = found.characteristic(phi)[0] - np.vander(phi, 3)[:, ::-1] @ _curve_at(0.04, own)
+    assert np.all(np.abs(apart) < 1.96 * found.characteristic(phi)[1])
     assert found.ci95_s_[0] < own.tau_s
-    assert found.ci95_s_[1] == pytest.approx(found.second_reading_.ci95_s[1])
+    assert found.ci95_s_[1] == pytest.approx(other.ci95_s[1])
     # One that is well known and hardly agrees counts for half, and widens the interval.
     near_s = own.tau_s * math.exp(1.9 * own.share)
     near = replace(second, time_constant_s_=near_s, time_constant_stderr_s_=0.001 * near_s)
