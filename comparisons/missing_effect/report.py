@@ -40,8 +40,9 @@ HOW_TWINS = (
     "of any twin, by a number beyond theirs, and on cycles left out."
 )
 OWN_ERRORS = (
-    "The errors are those of this run alone. What the time from plane to plane and the law of the "
-    "probes near zero flow may do to τ is not in them; `sindy-surge compare` counts it in."
+    "The errors of τ and of the size of an effect hold the scatter of twins and of choices of the "
+    "fit, where twins were measured. What the time from plane to plane and the law of the probes "
+    "near zero flow may do to τ is not in them; `sindy-surge compare` counts it in."
 )
 READING = (
     "Top: the stretch on which what was added changes most, of the run that the model misses most, "

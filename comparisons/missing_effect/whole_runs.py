@@ -19,6 +19,7 @@ import numpy as np
 from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import TAUS_S
+from classic_ml.whole_run_rows import is_blowdown, whole_run_rows
 from comparisons.missing_effect.candidates import Bench, LagCandidate, LagRound
 from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
@@ -80,7 +81,8 @@ class Null:
 
     ``share`` is what it explains of the squared errors, ``number`` what it takes (over
     specifications, too); ``matters`` is the size of that number from which on the effect matters,
-    ``by_inertia`` how far a wrong ∫dx/A moves it.
+    ``by_inertia`` how far a wrong ∫dx/A moves it, and ``shared`` what all cycles share of the
+    errors of that number and of log τ beside it.
     """
 
     share: float
@@ -90,6 +92,7 @@ class Null:
     matters: float
     unit: str
     by_inertia: float = 0.0
+    shared: tuple[float, float] = (0.0, 0.0)
 
     @property
     def seen_from(self) -> float:
@@ -129,10 +132,14 @@ class Null:
 
 @dataclass(frozen=True)
 class Nulls:
-    """What each effect reads of twins (empty without twins), and their mean rms error."""
+    """What each effect reads of twins (empty without twins), and their mean rms error.
+
+    ``log_tau`` is what all cycles share of the error of log τ without any of them.
+    """
 
     by_effect: Mapping[str, Null]
     rms: float
+    log_tau: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -318,14 +325,19 @@ def nulls_of(
     rng = np.random.default_rng(0)
     rms = []
 
-    def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
+    def read(
+        others: Sequence[RecordReading], tried: Sequence[Effect], in_stall: bool = False
+    ) -> Read:
         data = whole_data(records, others)
+        if in_stall:
+            data = replace(data, weight=data.weight * (data.sampled(data["stalled"]) > 0.5))
         own = plain_bench(data, others, bench.fit.structure.terms, bench.n_names, bench.block_rows)
         rms.append(rms_left(own))
-        return {
-            c.name: (1.0 - c.fit.cost / own.fit.cost, number_of(c.added[0], c.fit, own))
-            for c in own.tried(tried).candidates
-        }
+        found = {PLAIN: (0.0, 0.0, float(own.fit.nonlinear[0]))}
+        for c in own.tried(tried).candidates:
+            share, log_tau = 1.0 - c.fit.cost / own.fit.cost, float(c.fit.nonlinear[0])
+            found[c.name] = share, number_of(c.added[0], c.fit, own), log_tau
+        return found
 
     measured, over_twins = [], []
     for _ in progress(range(n_twins)):
@@ -342,11 +354,38 @@ def nulls_of(
         with suppress(InputError):
             again = [one.with_inertia(INERTIA_FACTOR) for one in others]
             wrong.append((right, read(again, effects)))
-    by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, wrong) for e in effects}
-    return Nulls(by_effect, left_rms)
+    apart: list[Read] = []
+    # A plenum that blows down holds no τ of its own.
+    if not is_blowdown([whole_run_rows(record, 2) for record in records]):
+        apart = [read(readings, effects, alone) for alone in (False, True)]
+    reads = over_twins, over_specs, apart
+    by_effect = {e.name: _null(e, bench.data, *reads, wrong) for e in effects}
+    return Nulls(by_effect, left_rms, _shared(*(_read_of(PLAIN, each) for each in reads))[1])
 
 
-Read = Mapping[str, tuple[float, float]]
+# Of each effect its share, its number and log τ; of the model without any log τ alone.
+Read = Mapping[str, tuple[float, float, float]]
+PLAIN = ""
+
+
+def _read_of(name: str, reads: Sequence[Read]) -> FloatArray:
+    return np.array([one[name] for one in reads if name in one]).reshape(-1, 3)
+
+
+def _shared(twins: FloatArray, specs: FloatArray, rows: FloatArray) -> tuple[float, float]:
+    """Return what all cycles share of the errors of a number and of log τ, as deviations.
+
+    It is the scatter over twins and over specifications, and that of two equal readings: of all
+    rows and of those in stall alone, which parted by 3 to 10 of the errors over cycles on machines
+    of another rig, where the mix of the branches is not as a blend has it.
+    """
+    parts = [
+        each[:, 1:].std(axis=0, ddof=ddof)
+        for each, ddof in ((twins, 1), (specs, 0), (rows, 1))
+        if len(each) > 1
+    ]
+    number, log_tau = np.sqrt(np.sum(np.square(parts), axis=0)) if parts else (0.0, 0.0)
+    return float(number), float(log_tau)
 
 
 def _null(
@@ -354,10 +393,10 @@ def _null(
     data: LagData,
     twins: Sequence[Read],
     specs: Sequence[Read],
+    rows: Sequence[Read],
     wrong: Sequence[tuple[Read, Read]],
 ) -> Null:
-    read = np.array([one[effect.name] for one in twins if effect.name in one]).reshape(-1, 2)
-    varied = np.array([one[effect.name][1] for one in specs if effect.name in one])
+    read, varied, apart = (_read_of(effect.name, each) for each in (twins, specs, rows))
     mean_psi_p = float(np.mean(np.abs(data.measured[data.scored()])))
     matters, unit = MATTERS.get(effect.name, np.inf), effect.parameters[0].unit
     if effect.name in SHAPED:
@@ -371,8 +410,9 @@ def _null(
     moved = [b[name][1] - a[name][1] for a, b in wrong if name in a and name in b]
     by_inertia = float(np.mean(moved)) if moved else 0.0
     matters = abs(by_inertia) if effect.name == INERTIA else matters
-    both = float(np.hypot(sd[1], np.std(varied) if varied.size else 0.0))
-    return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia)
+    both = float(np.hypot(sd[1], np.std(varied[:, 1]) if len(varied) else 0.0))
+    shared = _shared(read, varied, apart)
+    return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia, shared)
 
 
 def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:

@@ -56,9 +56,7 @@ def altered(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis
             table[:, p31] = 2048.0 + (table[:, p31] - 2048.0) * growth[:, None]
         if what == "late":
             table[:, p31] = table[np.maximum(np.arange(len(table)) - 5, 0)][:, p31]
-        np.savetxt(
-            folder / "raw.csv", table, fmt="%.10g", delimiter=",", header=header, comments=""
-        )
+        np.savetxt(folder / "raw.csv", table, "%.10g", ",", header=header, comments="")
         (folder / "test.toml").write_bytes((INDEPENDENT / "test.toml").read_bytes())
         catalogue = [effect for effect in CATALOGUE if effect.name != without]
         return diagnose([series_of(folder)], catalogue=catalogue, n_twins=N_TWINS)
@@ -75,9 +73,9 @@ def sets_of(d: Diagnosis) -> list[set[str]]:
     return [set(item.alias_set) for item in d.missing if item.alias_set != (LOSS,)]
 
 
-def value_of(d: Diagnosis, effect: str, parameter: str) -> float:
-    item = next(item for item in d.missing if item.effect == effect)
-    return next(p.value for p in item.parameters if p.name == parameter)
+def value_of(d: Diagnosis, effect: str, name: str) -> float:
+    (item,) = (item for item in d.missing if item.effect == effect)
+    return next(p.value for p in item.parameters if p.name == name)
 
 
 def tau_error_ms(tau_s: float) -> float:
@@ -162,10 +160,12 @@ def test_the_null_holds_what_noise_alone_explains() -> None:
     assert inertia.number < 0.0
     assert abs(late.number) < 0.0005
     assert late.can_be_told
-    assert not late.beyond(0.5, late.number + 0.9 * late.seen_from)
-    assert not late.beyond(0.5, late.number + 0.4 * late.matters)
+    for least in (0.9 * late.seen_from, 0.4 * late.matters):
+        assert not late.beyond(0.5, late.number + least)
     assert not late.beyond(late.share, late.number + late.matters)
     assert late.beyond(0.5, late.number + late.matters)
+    assert late.shared[0] > late.number_sd
+    assert nulls.log_tau > 0.01
     # A model leaves of the record what it leaves of its twins.
     assert 0.5 < rms_left(bench) / nulls.rms < 2.0
 
@@ -174,14 +174,11 @@ def test_too_few_twins_decide_nothing_and_give_no_number() -> None:
     late = find_effect("transport_delay")
     d = diagnose([rig_series("985")], catalogue=[late], n_twins=1)
     assert not d.absent
-    assert [row.effect for row in d.untold] == [late.name]
-    assert "seen from" not in d.untold[0].why
+    assert [(e.effect, "seen from" in e.why) for e in d.untold] == [(late.name, False)]
 
 
 @needs_independent
-def test_the_other_rig_s_record_lacks_the_loss_in_reversed_flow_alone(
-    altered: Callable[[str | None], Diagnosis],
-) -> None:
+def test_the_other_rig_s_record_lacks_that_loss_alone(altered: Callable[..., Diagnosis]) -> None:
     d = altered(None)
     assert (d.verdict, d.names) == ("named", (LOSS,))
     assert tau_error_ms(d.tau_after_s) < 1.5
@@ -199,6 +196,6 @@ def test_the_other_rig_s_record_altered_is_named(
     assert any(name in names for names in firm)
     assert d.verdict in ("named", "alias_set")
     assert d.gap.after_rms < 0.9 * d.gap.before_rms
-    assert tau_error_ms(d.tau_after_s) < 4.0
+    assert tau_error_ms(d.tau_after_s) < min(4.0, 2e3 * d.tau_stderr_s)
     others = altered(what, name).missing
     assert all(item.provisional or item.effect == LOSS for item in others)
