@@ -12,6 +12,7 @@ from comparisons.page import style
 from comparisons.page.blocks import Picture
 from comparisons.results import SYMBOLS, Comparison, Curve, EstimatorResult, TauTrial, Truth
 from comparisons.results.names import NAMES
+from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import round_to_error, significant
 from surge_core.segments import intervals_where
 from surge_core.types import BoolArray, FloatArray
@@ -49,7 +50,7 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
         phi, value, stderr = np.asarray(result.model.table).T
         low, high = result.model.valid_phi
         inside = (phi >= low) & (phi <= high) & dwelt_on(phi, _scored_phi(result))
-        if not (inside.any() and np.isfinite(value[inside]).all()):
+        if result.state in WITHHOLDING or not (inside.any() and np.isfinite(value[inside]).all()):
             continue
         seen.append(value[inside])
         _curve_with_band(ax, comparison, result, inside)
