@@ -44,6 +44,14 @@ CORRELATION = 0.5
 LARGEST_WEIGHT = 0.5
 # Of τ: what would be written as 0 %.
 SMALLEST_PART = 0.005
+# What lessens each part of the error of τ.
+REMEDIES = {
+    "the scatter of the cycles": "a longer record",
+    "the choices of the fit": "a record with smaller loops in stall, not a longer one",
+    "the noise of the probes": "probes or converters of lower noise",
+    "the time from plane to plane": "a pressure step applied to both planes at once",
+    "the law of the probes near zero flow": "a calibration of the probes near zero flow",
+}
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
@@ -99,7 +107,8 @@ class WholeRecordRun(WholeRunFit):
             for name, part in widest.parts.items()
             if part > SMALLEST_PART
         ]
-        return f"τ is left open by {', '.join(parts)}"
+        lessens = REMEDIES[next(iter(widest.parts))]
+        return f"τ is left open by {', '.join(parts)}; what lessens the first is {lessens}"
 
     @property
     def _probe_law(self) -> str:

@@ -72,8 +72,8 @@ class FitState(StrEnum):
     UNCERTAIN = (
         "uncertain",
         "The record does not hold the time constant: cycles, the choices of the fit, the noise of "
-        "the probes and the time from plane to plane together leave more than 12 %. Take a longer "
-        "record, or one with more passes through forward flow.",
+        "the probes and the time from plane to plane together leave more than 12 %. A longer "
+        "record lessens the scatter of the cycles alone.",
     )
     TWIN_BIASED = (
         "twin_biased",
