@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -227,6 +228,13 @@ def ledger_words(history: tuple[LedgerEntry, ...]) -> str:
     flags = sum(len(entry.flags) for entry in history)
     left_out, flagged = counted(dropped, "thing"), counted(flags, "flag")
     return f"{counted(len(history), 'step')}; {left_out} left out, {flagged}"
+
+
+def short_names(sources: Iterable[str]) -> str:
+    """Return the names of files, with their folders where two are alike."""
+    paths = [PurePath(source) for source in sources]
+    alike = len({path.name for path in paths}) < len(paths)
+    return ", ".join("/".join(path.parts[-2:]) if alike else path.name for path in paths)
 
 
 def counted(number: int, noun: str) -> str:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
 
-from classic_ml.records import counted
+from classic_ml.records import counted, short_names
 from classic_ml.whole_record_fit import LARGEST_SHARE
 from comparisons.harness.cautions import lacks_ledger, spread_speeds, unknown_work
 from comparisons.harness.fit_quality import dwelt_on
@@ -87,7 +86,7 @@ def answer_of(
 
 
 def _test_line(comparison: Comparison, name: str = "") -> str:
-    names = name or ", ".join(PurePath(record.source).name for record in comparison.records)
+    names = name or short_names(record.source for record in comparison.records)
     rows = comparison.rows
     # At its first row, before the surge heats the inlet.
     found = [r.Nc_frac[0] for r in comparison.records if r.Nc_frac is not None]
@@ -103,8 +102,8 @@ def _test_line(comparison: Comparison, name: str = "") -> str:
 
 def _believed(comparison: Comparison, first: EstimatorResult) -> str:
     words = (
-        f"Believe {first.label} ({first.name}): it is one free run through the unfiltered signals"
-        f"{_reserved(first)}"
+        f"{_beforehand(first)}Believe {first.label} ({first.name}): it is one free run through the "
+        f"unfiltered signals{_reserved(first)}"
     )
     # What its interval lacks where no twins were measured.
     lacking = "".join(
@@ -142,9 +141,17 @@ def _reserved(first: EstimatorResult) -> str:
             f". The rows in stall alone read {significant(1e3 * second.value_s, 3)} ms, and the "
             "interval spans both"
         )
-    if first.held_out is not None and first.held_out.r2 < 0.0:
-        words += ". On cycles left out its curve is worse than a constant, and none is stated"
     return words
+
+
+def _beforehand(first: EstimatorResult) -> str:
+    """Say first what puts the model itself in doubt."""
+    if first.held_out is None or first.held_out.r2 >= 0.0:
+        return ""
+    return (
+        "With reserve: on cycles left out the curve is worse than a constant, and none is stated; "
+        "what the model lacks may be in τ, beyond its interval. "
+    )
 
 
 def _not_believed(comparison: Comparison) -> str:
@@ -161,7 +168,7 @@ def _not_believed(comparison: Comparison) -> str:
     if any(result.model.time_constant_stderr_s == 0.0 for result in results):
         why = "it was held, not fitted"
     elif spread_speeds(comparison.records):
-        why = "the records have different corrected speeds, each with a τ of its own"
+        why = "the records have different corrected speeds, and each may have a τ of its own"
     elif withheld:
         open_ = getattr(withheld[0].whole_run, "left_open_", "")
         why = f"{withheld[0].label} was refused, and the others know less"

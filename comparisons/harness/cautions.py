@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
 from classic_ml.filters import emptied_above_hz
 from classic_ml.records import LedgerEntry
 from classic_ml.series import CoefficientSeries
@@ -110,10 +108,11 @@ def psi_by_rise(history: Sequence[LedgerEntry]) -> Caution | None:
 
 
 def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float]]:
-    """Return each record's median corrected speed where they are too far apart for one curve."""
-    known = [
-        (r.source, float(np.median(r.Nc_frac[r.scored]))) for r in records if r.Nc_frac is not None
-    ]
+    """Return each record's corrected speed where they are too far apart for one curve.
+
+    It is that at the first row: surge heats the inlet, by as much as it lasts.
+    """
+    known = [(r.source, float(r.Nc_frac[0])) for r in records if r.Nc_frac is not None]
     speeds = [speed for _, speed in known] or [0.0]
     return known if max(speeds) - min(speeds) > SPEED_SPREAD else []
 
@@ -161,7 +160,7 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
             cautions.append(Caution("no_ledger", record.source))
         if record.n_segments == 1 and bool(record.scored.all()):
             cautions.append(Caution("one_segment", record.source))
-    each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in spread_speeds(records))
+    each = ", ".join(f"{name} {100.0 * speed:.1f} %" for name, speed in spread_speeds(records))
     if each:
         cautions.append(Caution.of("speeds_apart", each=each))
     return cautions + [

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from classic_ml.records import short_names
 from comparisons.missing_effect.candidates import LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
@@ -168,7 +169,7 @@ class LagDiagnosis(Diagnosis):
     @property
     def title(self) -> str:
         """The records."""
-        return ", ".join(PurePath(source).name for source in self.data.sources)
+        return short_names(self.data.sources)
 
     @property
     def floor(self) -> tuple[float, ...]:

@@ -26,7 +26,7 @@ SENTENCES: Mapping[str, str] = {
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
     "speeds_apart": "one curve and one τ are fitted to records of different corrected speeds "
-    "(medians of their fitted rows: {each}), and are those of none of them",
+    "(at their first rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
     "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
     "rows_left_out": "{rows} rows without a known value or in a stretch of fewer than {fewest} "
