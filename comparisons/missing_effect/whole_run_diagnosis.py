@@ -174,7 +174,7 @@ def _doubt(place: int, members: Sequence[LagCandidate], bench: WholeRuns) -> str
     gap = 1.0 - (bench.nulls.rms / rms_left(bench)) ** 2
     if members[0].evidence.share < LEAST_CLOSED * gap:
         return MORE_STAYS
-    share = by_effect[members[0].name].shared[1]
+    share = by_effect[members[0].name].open_tau
     return LEFT_OPEN.format(100.0 * share) if share > LARGEST_SHARE else ""
 
 

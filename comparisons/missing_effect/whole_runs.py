@@ -82,7 +82,8 @@ class Null:
     ``share`` is what it explains of the squared errors, ``number`` what it takes (over
     specifications, too); ``matters`` is the size of that number from which on the effect matters,
     ``by_inertia`` how far a wrong ∫dx/A moves it, and ``shared`` what all cycles share of the
-    errors of that number and of log τ beside it.
+    errors of that number and of log τ beside it; ``open_tau`` is that of log τ without the distance
+    of two readings, which withholds no τ.
     """
 
     share: float
@@ -93,6 +94,7 @@ class Null:
     unit: str
     by_inertia: float = 0.0
     shared: tuple[float, float] = (0.0, 0.0)
+    open_tau: float = 0.0
 
     @property
     def seen_from(self) -> float:
@@ -412,7 +414,8 @@ def _null(
     matters = abs(by_inertia) if effect.name == INERTIA else matters
     both = float(np.hypot(sd[1], np.std(varied[:, 1]) if len(varied) else 0.0))
     shared = _shared(read, varied, apart)
-    return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia, shared)
+    open_tau = _shared(read, varied, apart[:0])[1]
+    return Null(mean[0], sd[0], mean[1], both, matters, unit, by_inertia, shared, open_tau)
 
 
 def cycles_left_out(fit: Fit, bench: Bench) -> FloatArray:
