@@ -34,6 +34,8 @@ class CheckRun:
         Measured inputs and outputs.
     refitted : ndarray of shape (n, n_y), optional
         The model with what was added, its parameters fitted to this very record.
+    loose : float or ndarray of shape (n_y,)
+        What the rms error would be from the errors of the start alone.
     """
 
     name: str
@@ -47,6 +49,7 @@ class CheckRun:
     settle: int = 0
     signals: Mapping[str, FloatArray] = field(default_factory=dict)
     refitted: FloatArray | None = None
+    loose: float | FloatArray = 0.0
 
     @property
     def held_out(self) -> bool:

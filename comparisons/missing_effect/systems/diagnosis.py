@@ -34,7 +34,13 @@ from comparisons.missing_effect.systems.experiments import (
     held_rows,
     without_repeats,
 )
-from comparisons.missing_effect.systems.fit import Fit, settled
+from comparisons.missing_effect.systems.fit import (
+    FORETOLD_BADLY,
+    START_SHARE,
+    Fit,
+    settled,
+    start_error,
+)
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
@@ -51,15 +57,13 @@ from comparisons.missing_effect.systems.quantities import (
 from comparisons.missing_effect.systems.records import Records, check_run, rows_together, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import HALF_SAMPLE
+from comparisons.missing_effect.systems.structure import HALF_SAMPLE, Run
 from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
 from surge_core.rounding import significant
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
 MOST_EFFECTS = 4
-# Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
-FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
 REFIT_STEPS, WORTH_SAYING = 25, 0.8
 STILL_FORETOLD = "inputs and states still foretell the error that is left"
@@ -165,17 +169,10 @@ def _with_drift(
 
 
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
-    """Return a check record with the rows that give its start; refuse another rate, or too few."""
+    """Return a check record; refuse another rate, or too few rows."""
     period_s = records.whole[0].sample_period_s
-    model, n, own_s = records.model, experiment.n_samples, experiment.sample_period_s
-    # Several rows a state; a number of the record's own shows slowly and takes a tenth of it.
-    tenth = n // 10 if model.per_record else 0
-    settle = experiment.settle
-    if not settle:
-        # So many readings of each output, in a third of the rows at most.
-        wanted = max(10, 5 * len(model.states), tenth)
-        read = np.isfinite(experiment.columns(model.output_names)).cumsum(axis=0).min(axis=1)
-        settle = max(wanted, min(int(np.searchsorted(read, wanted)) + 1, n // 3))
+    n, own_s = experiment.n_samples, experiment.sample_period_s
+    settle = _first_rows(records.model, experiment)
     experiment.require(
         abs(own_s - period_s) <= 1e-6 * period_s,
         "sample period",
@@ -185,7 +182,18 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     )
     expected = f"more than twice the {settle} rows from which its start is estimated"
     experiment.require(settle < n // 2, "rows", expected, f"{n}")
-    return replace(experiment, settle=settle)
+    return experiment
+
+
+def _first_rows(model: Model, experiment: Experiment) -> int:
+    """Return the rows that the start of a check record comes from, at least."""
+    n = experiment.n_samples
+    # Several rows a state; a number of the record's own shows slowly and takes a tenth of it. So
+    # many readings of each output, in a third of the rows at most.
+    wanted = max(10, 5 * len(model.states), n // 10 if model.per_record else 0)
+    read = np.isfinite(experiment.columns(model.output_names)).cumsum(axis=0).min(axis=1)
+    most = max(wanted, min(int(np.searchsorted(read, wanted)) + 1, n // 3))
+    return experiment.settle or most
 
 
 def _concluded(
@@ -256,6 +264,7 @@ def _concluded(
         remarks=(
             *_beyond_words(beyond),
             *_remarks(base, rounds, missing, left, gone, badly),
+            *_start_words(model, checks, checked),
             *_refitted_words(checked),
         ),
         model=model,
@@ -370,15 +379,15 @@ def _badly_foretold(bench: Bench, checks: Sequence[CheckRun]) -> str:
     """Return which rows that are not fitted go far more wrong than those that are, if any do.
 
     What happens in them alone cannot be found: nothing is fitted to them. Larger noise on a check
-    record is none of it.
+    record is none of it, and neither are the errors of its start.
     """
     largest = FORETOLD_BADLY * bench.fit.rms
     if np.any(bench.held_out_rms() > largest):
         return "The last third of the training rows"
     for run in checks:
-        rms = run.before_rms
+        rms, most = run.before_rms, np.hypot(largest, FORETOLD_BADLY * run.loose)
         new = metric_of([run.errors(before=True)]).sigma if np.isfinite(rms).all() else np.zeros(1)
-        if not np.all((rms <= largest) | (rms <= FORETOLD_BADLY * np.asarray(new))):
+        if not np.all((rms <= most) | (rms <= FORETOLD_BADLY * np.asarray(new))):
             return f"The check record {run.name}"
     return ""
 
@@ -428,6 +437,7 @@ def _run(
     model: Model,
     simulated: Sequence[FloatArray],
     settle: int = 0,
+    loose: float | FloatArray = 0.0,
 ) -> CheckRun:
     """Return a record with its simulations before, after, and fitted to the record itself."""
     n, period_s = experiment.n_samples, experiment.sample_period_s
@@ -446,6 +456,7 @@ def _run(
         settle,
         experiment.channels,
         refitted,
+        loose,
     )
 
 
@@ -454,17 +465,34 @@ def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) 
 
     Beyond the noise, it is fitted as well: what that takes away no training record can know.
     """
-    simulated = []
-    for fit in (before, after):
+
+    def begun(fit: Fit, rows: int) -> tuple[Fit, Run, Metric]:
         run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
-        there = settled(fit, [run], raw, rows=experiment.settle)
-        simulated.append(there.paths[0].outputs)
+        return settled(fit, [run], raw, rows=rows), run, raw
+
+    rows, least = experiment.n_samples // 3, _first_rows(records.model, experiment)
+    first, run, raw = begun(after, least)
+    rows, loose = start_error(first, run, raw, least, least if experiment.settle else rows)
+    was = begun(before, rows)[0].paths[0].outputs
+    there, run, raw = (first, run, raw) if rows == least else begun(after, rows)
+    simulated = [was, there.paths[0].outputs]
     if not there.failed and np.any(
         WORTH_SAYING * there.rms > np.asarray(metric_of(after.errors).sigma)
     ):
         simulated.append(there.again([run], raw, most=REFIT_STEPS).paths[0].outputs)
-    return _run(experiment, "check", records.model, simulated, settle=experiment.settle)
+    return _run(experiment, "check", records.model, simulated, settle=rows, loose=loose)
+
+
+def _start_words(model: Model, given: Sequence[Experiment], runs: Sequence[CheckRun]) -> list[str]:
+    """Say of which check records the first rows do not fix the start."""
+    return [
+        f"The first {_first_rows(model, e)} rows of {run.name} do not fix its start: it is "
+        f"estimated from {run.settle} rows, which are not scored. Give what is known of it as x0= "
+        "of the model."
+        for e, run in zip(given, runs, strict=True)
+        if run.settle > _first_rows(model, e) or np.any(run.loose > START_SHARE * run.after_rms)
+    ]
 
 
 def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
