@@ -292,19 +292,21 @@ def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, dict[str, str]]:
     for placed in structure.effects:
         if placed.effect.kind == Kind.INPUT_DELAY:
             at = int(structure.slots_of(placed)[0])
-            cov[at, at] += _moved_the_other_way(fit, bench.records, raw, at) ** 2
+            cov[at, at] += _moved_the_other_way(fit, bench.records, raw, placed.place.at, at) ** 2
     return fit, cov, raw if fit.failed else metric_of(fit.errors), beyond
 
 
-def _moved_the_other_way(fit: Fit, records: Records, raw: Metric, at: int) -> float:
-    """Return by how much a delay moves where inputs run the other way between samples.
+def _moved_the_other_way(fit: Fit, records: Records, raw: Metric, j: int, at: int) -> float:
+    """Return by how much a delay of input j moves where that runs the other way between samples.
 
     What is held is late by half a sample itself; nothing, where the records reject that way.
     """
-    if fit.failed or records.between != "auto":
+    if fit.failed or records.between[j] != "auto":
         return 0.0
-    held = fit.structure.between == "held"
-    structure, theta = replace(fit.structure, between="cubic" if held else "held"), fit.theta.copy()
+    ways, theta = fit.structure.ways, fit.theta.copy()
+    held = ways[j] == "held"
+    other_way = (*ways[:j], "cubic" if held else "held", *ways[j + 1 :])
+    structure = replace(fit.structure, between=other_way)
     theta[at] += HALF_SAMPLE if held else -HALF_SAMPLE
     runs = runs_of(records, records.whole, structure.between, begun=True)
     other = replace(fit, structure=structure, theta=theta).again(runs, raw)

@@ -13,7 +13,7 @@ from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import correlations
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rates_of
-from comparisons.missing_effect.systems.structure import Run
+from comparisons.missing_effect.systems.structure import Between, Run
 from surge_core.errors import require
 from surge_core.types import FloatArray
 
@@ -93,14 +93,14 @@ class Records:
         return replace(self, fitted=tuple(first), held_out=tuple(last))
 
     @property
-    def between(self) -> str:
-        """How inputs run between samples: as the model says, held where all show it, or open.
+    def between(self) -> tuple[str, ...]:
+        """How each input runs between samples: as the model says, held where it shows it, or open.
 
         What is late by half a sample looks like another way between the samples of a staircase.
         """
         wanted, names = self.model.input_between_samples, self.model.input_names
-        held = all(is_held(e.channels[name]) for e in self.whole for name in names)
-        return "held" if wanted == "auto" and names and held else wanted
+        held = [all(is_held(e.channels[name]) for e in self.whole) for name in names]
+        return tuple("held" if wanted == "auto" and one else wanted for one in held)
 
     @property
     def shortened(self) -> bool:
@@ -112,7 +112,7 @@ class Records:
 
 
 def runs_of(
-    records: Records, experiments: Sequence[Experiment], between: str, *, begun: bool
+    records: Records, experiments: Sequence[Experiment], between: Between, *, begun: bool
 ) -> tuple[Run, ...]:
     """Return stretches of the training records as runs, inputs laid between samples.
 

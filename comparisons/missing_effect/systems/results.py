@@ -82,7 +82,10 @@ class SystemDiagnosis(Diagnosis):
         if not self.model.inputs:
             return ""
         listed = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in self.offsets)
-        before, after = self.before.structure.between, self.after.structure.between
+        before, after = (
+            way if isinstance(way, str) else ", ".join(f"{name} {own}" for name, own in way.items())
+            for way in map(_between, (self.before, self.after))
+        )
         earlier = f" (before: {before})" if before != after else ""
         return f"Inputs between samples: {after}{earlier}; timing offsets: {listed}."
 
@@ -105,7 +108,7 @@ class SystemDiagnosis(Diagnosis):
             "gap": {"unit": self.gap.unit},
             "time_constant_s": {"before": math.nan, "after": math.nan, "by_alias": {}},
             "timing_offsets": [asdict(offset) for offset in self.offsets],
-            "input_between_samples": self.after.structure.between if self.model.inputs else None,
+            "input_between_samples": _between(self.after) if self.model.inputs else None,
             "model": {
                 "name": self.model.name,
                 "states": self.model.states,
@@ -177,6 +180,13 @@ class SystemDiagnosis(Diagnosis):
         if not c.fitted:
             return "not fitted"
         return "accepted" if c.accepted else "refused"
+
+
+def _between(fit: Fit) -> str | dict[str, str]:
+    """Return the way of all inputs between samples, or that of each by its name."""
+    ways = fit.structure.ways
+    named = dict(zip(fit.structure.model.inputs, ways, strict=True))
+    return ways[0] if len(set(ways)) == 1 else named
 
 
 def residuals_of(

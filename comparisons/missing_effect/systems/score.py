@@ -238,7 +238,7 @@ def placed_effects(
         if fit.structure.model.simulate is not None and effect.kind in INSIDE:
             refused.setdefault(effect.name, "acts inside the simulation, which is out of reach")
         # What went through the filter has no steps.
-        held = fit.structure.between == "held" and fit.structure.model.inputs
+        held = "held" in fit.structure.ways
         if effect.kind is Kind.RECORDING and held:
             refused[effect.name] = "needs inputs that are not held between rows"
             continue

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from comparisons.missing_effect.systems.compiled import compiled, compiled_term
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
-from comparisons.missing_effect.systems.experiments import Experiment, all_pass, input_pieces
+from comparisons.missing_effect.systems.experiments import (
+    BAND_FACTOR,
+    Experiment,
+    all_pass,
+    input_pieces,
+)
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind
 from surge_core.types import BoolArray, FloatArray, IntArray
 
+# One way between samples for all inputs, or one an input.
+Between: TypeAlias = str | tuple[str, ...]
 # A timing offset of an input beyond one sample is a delay, and has to be named.
 MOST_OFFSET, HALF_SAMPLE = 1.0, 0.5
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
@@ -28,6 +36,7 @@ RELATIVE_STEP, HELD_STEP, FILTER_STEP = 1e-5, 0.5, 1e-4
 class Structure:
     """A model as the user wrote it, the effects in it in order, its inputs between samples.
 
+    They run in one way all, or each in its own.
     The relative tolerance of the integrator is well below the noise of the outputs. The timing
     offsets of the inputs show in the fast part of the errors alone: they come from fits in a
     whitening metric, where they are free, and are held in raw ones.
@@ -35,7 +44,7 @@ class Structure:
 
     model: Model
     effects: tuple[Placed, ...] = ()
-    between: str = "cubic"
+    between: Between = "cubic"
     tolerance: float = FIRST_TOLERANCE
     offsets_free: bool = True
 
@@ -46,6 +55,11 @@ class Structure:
     def without(self, effect: Placed) -> Structure:
         """Return the model with one effect less."""
         return replace(self, effects=tuple(e for e in self.effects if e.key != effect.key))
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """How each input runs between samples."""
+        return ways_of(self.between, len(self.model.inputs))
 
     @property
     def n_states(self) -> int:
@@ -66,7 +80,7 @@ class Structure:
             len(model.outputs),
             self.n_states - len(model.states),
             len(self.effects),
-            4 if self.between == "band" else 1,
+            BAND_FACTOR if "band" in self.ways else 1,
         ]
         rows, own = [], len(model.states)
         for placed in self.effects:
@@ -123,10 +137,10 @@ class Structure:
         low, high = self.bounds
         reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
         steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
-        if self.between == "held":
-            steps[self.offsets] = HELD_STEP
+        held = np.array([way == "held" for way in self.ways], dtype=bool)
+        steps[self.offsets][held] = HELD_STEP
         for placed in self.effects:
-            if placed.effect.kind == Kind.INPUT_DELAY and self.between == "held":
+            if placed.effect.kind == Kind.INPUT_DELAY and held[placed.place.at]:
                 steps[self.slots_of(placed)[0]] = HELD_STEP
             elif placed.effect.kind == Kind.RECORDING:
                 steps[self.slots_of(placed)[:2]] = FILTER_STEP
@@ -188,7 +202,7 @@ class Run:
         cls,
         model: Model,
         experiment: Experiment,
-        between: str,
+        between: Between,
         span: tuple[float, float],
         x0: tuple[FloatArray, FloatArray],
     ) -> Run:
@@ -239,7 +253,24 @@ class Run:
         return self.experiment.sample_period_s
 
 
-def laid(inputs: FloatArray, between: str) -> FloatArray:
-    """Return inputs, side by side, between their samples, shape (n_u, m, 4)."""
-    made = [input_pieces(values, between) for values in inputs.T]
-    return np.ascontiguousarray(np.stack(made)) if made else np.zeros((0, 1, 4))
+def ways_of(between: Between, n: int) -> tuple[str, ...]:
+    """Return how each of n inputs runs between samples."""
+    return (between,) * n if isinstance(between, str) else between
+
+
+def laid(inputs: FloatArray, between: Between) -> FloatArray:
+    """Return inputs, side by side, between their samples, shape (n_u, m, 4).
+
+    Ways that run smoothly are alike; what is held beside them has as many pieces, one more at last.
+    """
+    ways = ways_of(between, inputs.shape[1])
+    made = [input_pieces(values, way) for values, way in zip(inputs.T, ways, strict=True)]
+    if len(set(ways)) > 1 and "band" in ways:
+        made = [
+            p if w == "band" else np.repeat(p, BAND_FACTOR, axis=0)
+            for p, w in zip(made, ways, strict=True)
+        ]
+    out = np.zeros((len(made), max(map(len, made), default=1), 4))
+    for pieces, whole in zip(made, out, strict=True):
+        whole[: len(pieces)], whole[len(pieces) :, 0] = pieces, pieces[-1].sum()
+    return out

@@ -19,7 +19,7 @@ from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import covariance
 from comparisons.missing_effect.systems.records import Records, check_run
-from comparisons.missing_effect.systems.structure import Structure
+from comparisons.missing_effect.systems.structure import Structure, laid
 
 
 def biased_body(**changes: Any) -> Model:
@@ -126,6 +126,18 @@ def test_a_start_that_nothing_is_known_of_begins_where_the_fitted_rows_end() -> 
     bench = Bench.of(Records.of(model, [run]))
     blind = replace(bench.later[0], x0_mean=np.zeros(1))
     assert settled(bench.fit, [blind], bench.raw).rms < 2e-3
+
+
+def test_each_input_runs_between_samples_as_its_own_rows_show() -> None:
+    """A force that is switched and one that is not: each goes through its rows."""
+    switched, model = np.repeat([0.0, 5.0, 1.0], 100), make.body(inputs={"F": "N", "G": "N"})
+    both = np.column_stack([switched, np.sin(np.arange(300) / 15.0)])
+    run = Experiment("run", 1.0, dict(zip("FGq", [*both.T, both[:, 1]], strict=True)))
+    assert Records.of(model, [run]).between == ("held", "auto")
+    for way, pieces in (("cubic", 300), ("linear", 300), ("band", 1200)):
+        made = laid(both, ("held", way))
+        assert made.shape == (2, pieces, 4)
+        assert np.allclose(made[:, :: pieces // 300, 0].T, both, atol=5e-3)
 
 
 GAPS = {
