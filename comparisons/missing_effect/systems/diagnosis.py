@@ -51,6 +51,7 @@ from comparisons.missing_effect.systems.quantities import (
     at_bound,
     correlation_of,
     covariance,
+    not_known,
     numbers_of,
     widened,
 )
@@ -260,7 +261,11 @@ def _concluded(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
         parameters=_parameters(records, (before, before_cov), (after, after_cov)),
-        unavailable=rounds[-1].refused if rounds else {},
+        unavailable={
+            name: why
+            for name, why in (rounds[-1].refused if rounds else {}).items()
+            if all(name not in item.alias_set for item in missing)
+        },
         remarks=(
             *_beyond_words(beyond),
             *_remarks(base, rounds, missing, left, gone, badly),
@@ -349,7 +354,8 @@ def _found(
     doubts = doubts_of(step, placed, numbers, checks, model, left, errors)
     doubts += doubts_beside(placed, numbers, found, left, model, checks, one_sided(fit, records))
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
-    doubts += tuple(filter(None, [at_bound(fit, placed)]))
+    unknown = [not_known(fit, placed, cov, number) for number in numbers[:1]]
+    doubts += tuple(filter(None, [at_bound(fit, placed), *unknown]))
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)

@@ -274,6 +274,10 @@ def left_words(left: Leftover, named: bool) -> str:
         follows = f": it follows {left.follows} most" if left.follows else ""
         return f"A small part of the error that is left is no chance{follows}."
     lead = "Beyond what was found s" if named else "S"
+    late = (
+        " what the inputs did in earlier rows. Dynamics that are missing do that: a mode, a "
+        "further lag, a pipe."
+    )
     if left.structured:
         follows = f"; it follows {left.follows} most" if left.follows else ""
         share = (
@@ -285,14 +289,13 @@ def left_words(left: Leftover, named: bool) -> str:
         return (
             f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
             f"for naming is {significant(left.ratio, 3)} times what is new in each sample{share}"
-            f"{follows}."
+            f"{follows}.{' It follows' + late if left.late else ''}"
         )
     if left.late:
         return (
             f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
-            f"for naming, {significant(left.ratio, 3)} times what is new in each sample, follows "
-            "what the inputs did in earlier rows. Dynamics that are missing do that: a mode, a "
-            "further lag, a pipe."
+            f"for naming, {significant(left.ratio, 3)} times what is new in each sample, follows"
+            f"{late}"
         )
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "

@@ -75,8 +75,8 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     ahead: list[Probe] = []
     for unnamed in (False, True):
         group = [p for p in begun if p.unnamed == unnamed]
-        by_size = sorted(group, key=lambda p: begun[p].cost)[:FINALISTS]
-        by_own = sorted(group, key=lambda p: -own[p])[:FINALISTS]
+        by_size = _first(sorted(group, key=lambda p: begun[p].cost))
+        by_own = _first(sorted(group, key=lambda p: -own[p]))
         ahead += [p for p in group if p in by_size or p in by_own]
     forms = {(p.placed.name, p.placed.place) for p in ahead}
     ahead += [p for p in begun if p not in ahead and _plain_forms(p) & forms]
@@ -86,6 +86,16 @@ def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
         for p in probes
         if p in ahead
     }
+
+
+def _first(ranked: Sequence[Probe]) -> list[Probe]:
+    """Return the first few; overflows of one vessel into others, which fit alike, count once."""
+    kinds = [
+        (Kind.OVERFLOW, p.placed.place.at) if p.placed.effect.kind == Kind.OVERFLOW else p
+        for p in ranked
+    ]
+    few = list(dict.fromkeys(kinds))[:FINALISTS]
+    return [p for p, kind in zip(ranked, kinds, strict=True) if kind in few]
 
 
 def _plain_forms(probe: Probe) -> set[tuple[str, Place]]:

@@ -132,9 +132,22 @@ class Answers:
             if i >= j or not extra[i, j] > least or len(out) == most:
                 continue
             first_two = sorted((i, j), key=lambda k: -alone[k])
-            one, two = (self.probes[pool[k]] for k in first_two)
+            # What has a name in the same form goes by it.
+            one, two = (
+                self._named(self.probes[pool[k]], float(first[k, i + j - k])) for k in first_two
+            )
             out.append(replace(one, gain=float(both[i, j]), second=two))
         return out
+
+    def _named(self, probe: Probe, amount: float) -> Probe:
+        """Return the probe of a name that is the same term with this sign, or the one given."""
+
+        def form(one: Probe) -> tuple[object, ...]:
+            effect = one.placed.effect
+            return one.placed.place, one.placed.floats, effect.kind, effect.code, effect.expression
+
+        named = (p for p in self.probes if not p.unnamed and form(p) == form(probe))
+        return next((p for p in named if p.placed.effect.allows(amount)), probe)
 
     def chance(self, rng: np.random.Generator) -> float:
         """Return what the best of all columns wins by chance: signs of blocks of errors flipped.
