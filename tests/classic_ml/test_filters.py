@@ -78,20 +78,6 @@ def test_the_average_over_one_cell_period_has_nulls_at_the_cell_and_its_harmonic
     assert np.abs(kept).max() < 20 * 0.013
 
 
-def test_every_channel_gets_the_same_filter_and_the_history_says_so() -> None:
-    sine = np.sin(2 * np.pi * 7 * TIME)
-    record = Record.from_arrays(
-        {"P": (sine, "Pa"), "T": (2 * sine, "K"), "X": (sine, "1")}, sample_rate_hz=RATE
-    )
-    out = filter_channels(record, ("P", "T"), order=3, cutoff_hz=48.0, phase="causal")
-    np.testing.assert_allclose(out["T"], 2 * out["P"], rtol=1e-12)
-    np.testing.assert_array_equal(out["X"], record["X"])
-    assert out.channel("T").unit == "K"
-    entry = out.history[-1]
-    assert entry.parameters == {"phase": "causal", "order": 3, "cutoff_hz": 48.0}
-    assert "delays surge frequencies by 6.6 ms" in entry.did
-
-
 @pytest.mark.parametrize("phase", ["zero", "causal"])
 def test_the_undershoot_of_the_filter_makes_no_negative_pressure(phase: str) -> None:
     """A blowdown to 2 kPa within some rows: the filter swings below, the probe has not."""

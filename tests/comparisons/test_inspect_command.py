@@ -236,19 +236,6 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     assert "adc" not in found
 
 
-def test_forward_and_aft_probes_share_a_table_of_defaults(tmp_path: Path) -> None:
-    probes = ("TF", "TA", "HF", "HA")
-    names = [f"P{plane}{rake}_{code}" for plane in (25, 31) for rake in "AB" for code in probes]
-    rng = np.random.default_rng(0)
-    columns = {name: rng.normal(14.0, 0.1, 300) for name in names}
-    found_in = inspected(tmp_path, {"time_s": np.arange(300) * 1e-3, **columns})
-    draft = draft_test_toml(found_in, units=["psia"])
-    patterns = re.findall(r'^\[defaults\."(.*)"\]$', draft, re.MULTILINE)
-    found = [fnmatch.filter(names, pattern) for pattern in patterns]
-    assert sorted(map(len, found)) == [4, 4, 4, 4]
-    assert sorted(name for each in found for name in each) == sorted(names)
-
-
 def test_channels_of_another_rate_are_named(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,12 +88,6 @@ def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
     assert np.isnan(unknown.free_run_stderr(rows)).all()
 
 
-def test_terms_without_a_known_name_run_from_the_table() -> None:
-    m, value, phi, _ = fitted()
-    anonymous = FittedLag(**{**value.__dict__, "terms": ("s1", "s2", "s3")})
-    np.testing.assert_allclose(anonymous.quasi_steady(phi), m.characteristic(phi)[0], atol=1e-3)
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -213,15 +213,6 @@ def test_settings_of_the_fit_keep_cells_of_one_reduction_apart() -> None:
     assert compared(both).row("b").n_records == 20
 
 
-def test_a_single_method_is_no_error() -> None:
-    table = made_study({"only": 0.0})
-    group = compared(table)
-    assert (group.best, group.rows[0].rank) == ("only", 1)
-    table["state"] = "failed"
-    assert compared(table).best == ""
-    assert "no method has a value" in compared(table).lead()
-
-
 def test_a_reference_that_is_no_method_is_refused_in_a_sentence() -> None:
     with pytest.raises(InputError, match="reference"):
         compare_methods(made_study({"a": 0.0, "b": 0.5}), RMS, "other")

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,12 +18,9 @@ from comparisons.missing_effect import Experiment, Model, P, diagnose_model, nul
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-from comparisons.missing_effect.systems.doubts import left_words, leftover_of, proves
-from comparisons.missing_effect.systems.places import Place
-from comparisons.missing_effect.systems.race import _first
+from comparisons.missing_effect.systems.doubts import leftover_of, proves
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
-from comparisons.missing_effect.systems.shapes import Kind
 
 ROOT = Path(__file__).parents[4]
 EXAMPLES = ROOT / "examples" / "measured"
@@ -270,22 +266,6 @@ def test_a_smooth_input_that_is_late_is_not_held() -> None:
     early = np.interp(rows + 1.3, rows, made.channels["u"])
     run = replace(made, channels={"u": early, "y": made.channels["y"]})
     assert Bench.of(Records.of(LINEAR, [run])).fit.structure.ways != ("held",)
-
-
-def test_what_a_model_leaves_is_called_dynamics_where_it_follows_earlier_inputs() -> None:
-    for late_p in (1.0, 1e-9):
-        words = left_words(nulls.Leftover(1e-9, 1e-9, 0.5, 19.0, "P", late_p=late_p), False)
-        assert ("a further lag" in words, "follows P most" in words) == (late_p < 1.0, True)
-
-
-def test_overflows_of_one_vessel_are_one_finalist() -> None:
-    """Of eight overflows of two vessels all race to the end, of other effects four."""
-    effects = [SimpleNamespace(kind=kind) for kind in (Kind.OVERFLOW, Kind.TERM)]
-    ranked: Any = [
-        Mock(placed=SimpleNamespace(effect=effects[k > 7], place=Place(k % 2, other=k)))
-        for k in range(20)
-    ]
-    assert _first(ranked) == ranked[:10]
 
 
 def test_a_check_record_proves_nothing_where_its_own_parameters_are_others() -> None:

@@ -196,6 +196,19 @@ def test_no_whitened_error_looks_across_a_gap() -> None:
     assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.1
 
 
+def test_a_slower_output_and_an_outage_leave_the_name() -> None:
+    """A drag in a pipe whose flow is read every third row, with an outage, is named as it is."""
+    made = truth.pipe(1, 900, drag=0.3, noise=0.01)
+    rows = np.arange(900)
+    made["Q"] = np.where((rows % 3 == 0) & ((rows < 500) | (rows > 560)), made["Q"], np.nan)
+    found = diagnose_model(make.pipe(), make.experiment("pipe", made), most_effects=1)
+    assert found.missing[0].effect == "quadratic_drag"
+    number = found.missing[0].parameters[0]
+    assert abs(number.value - 0.3) < 4.0 * number.stderr < 0.06
+    assert np.all(np.isfinite(found.training[0].after_rms))
+    assert np.all(np.isfinite(found.training[0].after))
+
+
 FILTERS = [(0.3, 0.05), (1.0, 0.4), (2.5, 1.5), (-0.8, 0.2)]
 # Rows at either end that the prolongation of the record may disturb.
 EDGE = 100
