@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -60,7 +61,8 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
     )
     _check_rows(records, phi, measured, target)
     period_s = records[0].sample_period_s
-    return FitRows(phi, measured, time_s, labels, record_index, period_s, target, train)
+    found = FitRows(phi, measured, time_s, labels, record_index, period_s, target, train)
+    return replace(found, reduced=any(record.history for record in records))
 
 
 def averaged_rows(

@@ -27,8 +27,9 @@ COLUMNS = {
     "τ [ms]": "time constant ± standard error",
     "95 % [ms]": "95 % interval of τ: on log τ where τ is well separated from zero, symmetric and "
     "cut at zero where it is less so, an upper bound where it is not separated from zero",
-    "rows": "the signals that it was fitted to and is scored on: as the series gives them (the "
-    "reduction low-passes them), or unfiltered and averaged over a period of the stall cells",
+    "rows": "the signals that it was fitted to and is scored on: low-passed, as a "
+    "series without a ledger gives them, or unfiltered and averaged over a period of the stall "
+    "cells",
     "held-out rms": "root mean square of measurement minus free run on the rows held out",
     "Δ to least": "difference of that rms to the least on the same rows ± paired jackknife error",
     "p": "chance of so great a difference of the squared errors between two that are alike, by "

@@ -139,8 +139,8 @@ class Reconstruction:
 # Heading of each column of the table, and what it says.
 RECONSTRUCTION_COLUMNS = {
     "model": "the estimator that found it",
-    "scored": "rows: as the series gives them, or unfiltered and averaged over a period of the "
-    "stall cells, as the model was fitted to",
+    "scored": "rows: low-passed, as a series without a ledger gives them, or unfiltered and "
+    "averaged over a period of the stall cells, as the model was fitted to",
     "rows": "how many",
     "rms": "of measured minus reconstructed",
     "fit [%]": "100 (1 - error / spread of the measurement)",

@@ -36,6 +36,8 @@ class FitRows:
     averaged : callable, optional
         Of rows that are averages of unfiltered signals: returns terms of the unfiltered φ,
         averaged as ``measured`` was.
+    reduced : bool
+        Whether the reduction made the signals, so that they are low-passed.
     """
 
     phi: FloatArray
@@ -47,6 +49,7 @@ class FitRows:
     target: str
     train: BoolArray
     averaged: Callable[[Terms], FloatArray] | None = None
+    reduced: bool = True
 
     @property
     def kind(self) -> Literal["filtered", "unfiltered"]:
@@ -56,7 +59,7 @@ class FitRows:
     @property
     def called(self) -> str:
         """What a reader calls them: a series without a ledger may never have been filtered."""
-        return "given" if self.averaged is None else "unfiltered"
+        return self.kind if self.reduced else "given"
 
     def terms(self, at: Terms) -> FloatArray:
         """Return terms of φ in these rows, of shape (n, q)."""
