@@ -96,11 +96,17 @@ class Records:
     def between(self) -> tuple[str, ...]:
         """How each input runs between samples: as the model says, held where it shows it, or open.
 
-        What is late by half a sample looks like another way between the samples of a staircase.
+        What is late by half a sample looks like another way between the samples of a staircase. An
+        input that never moves shows nothing, and runs as the others do.
         """
         wanted, names = self.model.input_between_samples, self.model.input_names
-        held = [all(is_held(e.channels[name]) for e in self.whole) for name in names]
-        return tuple("held" if wanted == "auto" and one else wanted for one in held)
+        held = {
+            name: all(is_held(e.channels[name]) for e in self.whole)
+            for name in names
+            if any(np.ptp(e.channels[name]) > 0.0 for e in self.whole)
+        }
+        others = all(held.values())
+        return tuple("held" if wanted == "auto" and held.get(n, others) else wanted for n in names)
 
     @property
     def shortened(self) -> bool:
