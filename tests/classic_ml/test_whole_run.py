@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from classic_ml.faults.search import SPIKED
 from classic_ml.filters import period_average
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import (
@@ -285,6 +286,7 @@ def test_a_fault_inside_the_window_does_not_keep_it_from_growing(row: int) -> No
     record, _, _ = made_record(2, cells=8.0, shift=4.0)
     faults = np.zeros(N_ROWS)
     faults[[row, 3400]] = 1.0
+    faults[3200] = SPIKED  # bridged
     record = replace(
         record, channels={**record.channels, "fault_P": Channel("fault_P", faults, "1")}
     )

@@ -50,7 +50,6 @@ def test_the_answer_is_right_and_holds_the_truth(made: tuple[Path, str]) -> None
     assert curve["valid_phi"][0] <= min(curve["phi"]) < max(curve["phi"]) <= curve["valid_phi"][1]
     tau_ms = 1e3 * answer["time_constant_s"]["value"]
     assert f"{tau_ms:.1f} ± " in printed.splitlines()[1]
-    assert f"{tau_ms:.1f} ± " in (folder / "report.html").read_text("utf-8")
 
 
 def test_each_step_has_its_own_document_or_the_sentence_that_refused(
@@ -64,7 +63,6 @@ def test_each_step_has_its_own_document_or_the_sentence_that_refused(
     assert "T31" in document["work"]["refused"]
     (refused,) = document["answer"]["refused"]
     assert refused.startswith("ψ is not known: it needs T31, and both T31 probes were")
-    assert document["reduce"]["history"][0]["step"] == "read"
     assert (made[0] / "series.csv").is_file()
 
 
@@ -96,9 +94,7 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
     assert math.isnan(answer.time_constant_s)
     assert answer.estimator == ""
     assert re.search("`sindy-surge reduce`.* P25_A has drifted\\.$", answer.why)
-    assert "none to quote" in str(answer)
     assert answer.curve is None
-    assert answer.curve_words == "none to read"
     held = dataclasses.replace(comparison.results[0].model, time_constant_stderr_s=0.0)
     results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
     answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))
@@ -107,17 +103,13 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
 
 def test_an_error_that_both_have_is_none_of_their_difference() -> None:
     """4 ms apart with 3 ms between them, of which 2.8 ms move both alike."""
-    reading = "structure", 0.022, 0.0022
-    assert "It agrees" in _others(0.018, 0.002, 0.1, [TauReading(*reading)])
-    assert "does not agree" in _others(0.018, 0.002, 0.1, [TauReading(*reading, 0.1)])
-
-
-def test_a_reading_that_does_not_agree_is_named() -> None:
-    readings = [TauReading("structure", 0.0181, 0.0003), TauReading("work", 0.003, 0.0002)]
-    others = answer_of(made_comparison(), readings=readings).others
-    agree, apart = others.split("It does not agree with ")
-    assert "structure 18.10 ± 0.30 ms" in agree
+    reading, other = ("structure", 0.022, 0.0022), TauReading("work", 0.003, 0.0002)
+    agree, apart = _others(0.018, 0.002, 0.1, [TauReading(*reading), other]).split(
+        "It does not agree with "
+    )
+    assert "structure 22.0 ± 2.2 ms" in agree
     assert "work 3.00 ± 0.20 ms" in apart
+    assert "does not agree" in _others(0.018, 0.002, 0.1, [TauReading(*reading, 0.1)])
 
 
 @pytest.mark.parametrize("wrong", ["raw", "test", "out"])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from surge_machines import STEP_S, draw, measured
 
 from sindy_surge import InputError, SurgeLoop, discover_loop
 from sindy_surge.discover.loop_signals import measure_cycles
+from sindy_surge.discover.loops import _judged
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.fit_state import FitState
@@ -46,7 +49,6 @@ def test_one_branch_stays_one_with_a_kink_too(kind: str, seed: int) -> None:
     machine, states, modes = draw(seed, kind)
     loop = discover_loop(*measured(states, 0.02, seed).T, STEP_S)
     assert loop.n_branches == 1
-    assert loop.lag.levels == ()
     assert (loop.lag.branches[0].powers[0] < 0) == (kind == "kinked")
     assert curve_error(loop, machine, states, modes) < 0.03
 
@@ -71,7 +73,11 @@ def test_duct_plenum_and_errors(loop: SurgeLoop) -> None:
     truth = np.array([machine.plenum, -machine.plenum * machine.throttle])
     assert np.all(np.abs(loop.plenum.coefficients - truth) < 5 * loop.plenum.stderr)
     np.testing.assert_allclose(loop.duct.coefficients, [machine.duct, -machine.duct], rtol=0.01)
-    assert loop.equations()[1].endswith("[stalled]")
+
+
+def test_a_period_off_by_more_than_its_errors_is_said(loop: SurgeLoop) -> None:
+    slower = replace(loop.plenum, coefficients=0.97 * loop.plenum.coefficients)
+    assert _judged(replace(loop, plenum=slower)).state is FitState.PERIOD_OFF
 
 
 def test_records_side_by_side() -> None:
