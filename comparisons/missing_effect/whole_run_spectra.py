@@ -47,10 +47,12 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     Surge switches the known cells on and off: that leaves side lines in pairs, as far below a
     harmonic of the cells as above it, and nearly as high, as high as the spectrum of the switching
     at that distance. How unequal the pairs of this record are is the null; a pattern of its own has
-    no partner and stands above both.
+    no partner and stands above both. No probe is like another, so that a difference has a part of
+    what the whole flow does as well, most of it near zero flow: it is left out where the mean has
+    more of a line, beyond the share of its cells, than the difference has.
     """
     from scipy.ndimage import maximum_filter1d, median_filter
-    from scipy.stats import norm
+    from scipy.stats import median_abs_deviation, norm
 
     signals, passes = reading.signals, reading.passes
     rate_hz, cells_hz = 1.0 / passes.sample_period_s, 1.0 / passes.period_s
@@ -58,8 +60,8 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
         return None
     stalled = np.zeros(signals.inlet_K.size, dtype=np.bool_)
     stalled[passes.row] = reading.in_stall
-    differences = [d for plane in (25, 31) for d in signals.cell_differences(plane)]
-    if not differences or np.count_nonzero(stalled) < 10.0 * passes.rows_of(passes.period_s):
+    both = [each for plane in (25, 31) for each in signals.differences_and_means(plane)]
+    if not both or np.count_nonzero(stalled) < 10.0 * passes.rows_of(passes.period_s):
         return None
     size = int(2 ** np.ceil(np.log2(2 * stalled.size)))
     frequency = np.fft.rfftfreq(size, passes.sample_period_s)
@@ -72,19 +74,26 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     # The spectrum of a real signal is that at -f, too.
     switching = switching[apart] + switching[(apart + 2 * harmonics[:, None]) % size]
 
-    def heights_of(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def power_of(values: FloatArray) -> FloatArray:
         quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
-        power = np.abs(np.fft.rfft(_held(quick, stalled), size)) ** 2
-        around = np.maximum(median_filter(power, round(BACKGROUND_HZ / step_hz) | 1), 1e-300)
-        switched = maximum_filter1d(power, near)[harmonics] @ switching
-        return power / around, switched / around
+        return np.asarray(np.abs(np.fft.rfft(_held(quick, stalled), size)) ** 2)
 
-    height, switched = np.mean([heights_of(values) for values in differences], axis=0)
+    def heights_of(values: FloatArray, mean: FloatArray) -> tuple[FloatArray, ...]:
+        power = power_of(values)
+        around = np.maximum(median_filter(power, round(BACKGROUND_HZ / step_hz) | 1), 1e-300)
+        nearby = maximum_filter1d(power, near)
+        shared = np.sqrt(maximum_filter1d(power_of(mean), near) / np.maximum(nearby, 1e-300))
+        of_cells = shared <= 1.0 + shared[harmonics[0]]
+        return power / around, of_cells * power / around, nearby[harmonics] @ switching / around
+
+    height, own_height, switched = np.mean([heights_of(*each) for each in both], axis=0)
     highest, switched = maximum_filter1d(height, near), maximum_filter1d(switched, near)
     harmonic = np.maximum(np.round(frequency / cells_hz), 1.0) * cells_hz
-    wanted = np.abs(frequency - harmonic) > NEAR_CELLS_HZ
-    wanted &= frequency > SLOWEST_PATTERN * cells_hz
-    wanted &= frequency < min(HIGHEST_LINE_HZ, HIGHEST_SHARE * rate_hz)
+    wanted = (
+        (np.abs(frequency - harmonic) > NEAR_CELLS_HZ)
+        & (frequency > SLOWEST_PATTERN * cells_hz)
+        & (frequency < min(HIGHEST_LINE_HZ, HIGHEST_SHARE * rate_hz))
+    )
     peaks = np.flatnonzero(wanted & (height == highest))
     if peaks.size < 2:
         return None
@@ -94,29 +103,28 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     partner = np.max([np.interp(there, frequency, highest) for there in partners], axis=0)
     switched = switched[peaks] * np.median(height[peaks] / switched[peaks])
     unequal = np.log(height[peaks] / np.maximum(partner, switched))
-    middle = float(np.median(unequal))
-    spread = 1.4826 * float(np.median(np.abs(unequal - middle)))
-    alone = unequal > middle + spread * float(norm.isf(CHANCE / peaks.size))
+    spread = median_abs_deviation(unequal, scale="normal")
+    alone = unequal > np.median(unequal) + spread * norm.isf(CHANCE / peaks.size)
     # In noise the power over its median follows an exponential law.
-    loud = height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
+    loud = own_height[peaks] > np.log(np.count_nonzero(wanted) / CHANCE) / np.log(2.0)
     found = peaks[alone & loud & (frequency[peaks] < FASTEST_PATTERN * cells_hz)]
-    hum = [_is_hum(reading, differences, stalled, hz) for hz in frequency[found].tolist()]
+    hum = [_is_hum(reading, both, stalled, hz) for hz in frequency[found].tolist()]
     found = found[~np.array(hum, dtype=np.bool_)]
     if not found.size:
         return None
     best = int(found[np.argmax(height[found])])
+    line_hz, tall = float(frequency[best]), float(height[best])
     psi_p = np.nan_to_num(signals.coefficients(signals.planes())[1])
     quick = _held(psi_p - period_average(psi_p, passes.period_s, rate_hz), stalled)
-    amplitude = _amplitude(quick, float(frequency[best]), rate_hz) / float(np.mean(stalled))
-    tall = float(height[best])
+    amplitude = _amplitude(quick, line_hz, rate_hz) / float(np.mean(stalled))
     # The bound for a line in white noise: √6 / (2π T √(power ratio)).
     spread_hz = float(np.sqrt(6.0 / tall)) * rate_hz / (2.0 * np.pi * quick.size)
-    return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
+    return RippleLine(line_hz, amplitude, tall, spread_hz)
 
 
 def _is_hum(
     reading: RecordReading,
-    differences: Sequence[FloatArray],
+    differences: Sequence[tuple[FloatArray, FloatArray]],
     stalled: BoolArray,
     frequency_hz: float,
 ) -> bool:
@@ -127,7 +135,7 @@ def _is_hum(
     n = max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)
     if n * frequency_hz < FEWEST_TURNS * rate_hz:
         return False
-    for values in differences:
+    for values, _ in differences:
         quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
         in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / np.mean(stalled)
         before = _amplitude(quick[:n], frequency_hz, rate_hz)

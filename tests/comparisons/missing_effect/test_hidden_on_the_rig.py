@@ -124,18 +124,19 @@ def test_side_lines_of_surge_are_no_second_pattern(tmp_path: Path, seed: int) ->
     assert ripple_line(reading_of(series_of(tmp_path / "record"))) is None
 
 
-def test_a_line_that_stands_before_surge_is_hum() -> None:
+def test_a_line_that_stands_before_surge_or_in_the_mean_is_no_second_pattern() -> None:
     reading = reading_of(rig_series("985"))
     signals, stalled = reading.signals, np.zeros(reading.signals.inlet_K.size)
     stalled[reading.passes.row] = reading.in_stall
     hum = 1500.0 * np.sin(2.0 * np.pi * 50.0 * signals.sample_period_s * np.arange(stalled.size))
 
-    def found(added: FloatArray) -> RippleLine | None:
-        total_Pa = {k: v + added * ("_B_" in k) for k, v in signals.total_Pa.items()}
+    def found(added: FloatArray, on_all: float = 0.0) -> RippleLine | None:
+        total_Pa = {k: v + added * (on_all + ("_B_" in k)) for k, v in signals.total_Pa.items()}
         return ripple_line(replace(reading, signals=replace(signals, total_Pa=total_Pa)))
 
     assert getattr(found(hum * stalled), "frequency_hz", 0.0) == pytest.approx(50.0, abs=0.2)
     assert found(hum) is None
+    assert found(hum * stalled, 4.0) is None
 
 
 def test_a_wrong_inertia_is_named_or_said_to_be_out_of_reach() -> None:
