@@ -73,8 +73,17 @@ def find_cycles(record: Record) -> SurgeCycles:
     with the others in rise, period and corrected speed, and follow one another without a break. A
     record without surge, or with fewer than three such cycles, is refused.
     """
-    slow = _slow(record, "Wc25_kg_s", "P31_Pa")
-    start, pressure = _first_negative(slow), slow["P31_Pa"]
+    slow, start = _slow(record, "Wc25_kg_s", "P31_Pa"), first_reversal(record)
+    if start is None:
+        raise InputError(
+            f"{record.source}: plane 25",
+            expected="reversed flow, with which every deep surge begins",
+            found="no surge that reverses it, the corrected flow stays above "
+            f"{slow['Wc25_kg_s'].min() / LBM_KG:.1f} lbm/s",
+            remedy="where the machine is in rotating stall without surge name the rows ([window] "
+            "from_s, to_s); else check units and zero readings of the probes at plane 25",
+        )
+    pressure = slow["P31_Pa"]
     after = pressure[start:]
     around = max(3, round(SURROUNDINGS_S * record.sample_rate_hz))
     least = LEAST_SWING * float(np.median(after))
@@ -126,9 +135,13 @@ def _repeating(
     )
 
 
-def first_reversal(record: Record) -> int:
-    """Return the row at which the flow at plane 25 first runs backwards; it is refused if never."""
-    return _first_negative(_slow(record, "Wc25_kg_s"))
+def first_reversal(record: Record) -> int | None:
+    """Return the row at which the flow at plane 25 first runs backwards; None where it never does.
+
+    It does not in rotating stall without surge.
+    """
+    backwards = _slow(record, "Wc25_kg_s")["Wc25_kg_s"] < 0.0
+    return int(np.argmax(backwards)) if backwards.any() else None
 
 
 def deep_ones(rises: FloatArray) -> BoolArray:
@@ -143,21 +156,6 @@ def _slow(record: Record, *names: str) -> Record:
     if record.sample_rate_hz <= 4.0 * CYCLE_BAND_HZ:
         return record
     return filter_channels(record, names, order=3, cutoff_hz=CYCLE_BAND_HZ, phase="zero")
-
-
-def _first_negative(record: Record) -> int:
-    flow = record["Wc25_kg_s"]
-    row = int(np.argmax(flow < 0.0))
-    if flow[row] < 0.0:
-        return row
-    raise InputError(
-        f"{record.source}: plane 25",
-        expected="reversed flow, with which every deep surge begins",
-        found="no surge that reverses it, the corrected flow stays above "
-        f"{flow.min() / LBM_KG:.1f} lbm/s",
-        remedy="check units and zero readings of the probes at plane 25; `sindy-surge inspect` "
-        "says whether and when P31 swings",
-    )
 
 
 def _swings(slow: Record, edges: IntArray, start: int) -> FloatArray:

@@ -307,9 +307,8 @@ def _before_surge(record: Record, corrected_kg_s: FloatArray) -> float:
 
     Of a hundred rows before the surge five pass less.
     """
-    before = corrected_kg_s[
-        : max(first_reversal(record) - round(SHORTEST_S * record.sample_rate_hz), 0)
-    ]
+    reversal = first_reversal(record) or 0
+    before = corrected_kg_s[: max(reversal - round(SHORTEST_S * record.sample_rate_hz), 0)]
     return float(np.percentile(before, 5.0)) if before.size else math.inf
 
 
@@ -344,8 +343,14 @@ def segment(
     parameters: dict[str, str | int | float | bool] = {"threshold_lbm_s": "none"}
     flags: tuple[str, ...] = ()
     if threshold_lbm_s is None:
-        state, fitted = np.arange(n_rows) >= first_reversal(record), inside
-        if _recovers(record, window):
+        reversal, fitted = first_reversal(record), inside
+        state = inside if reversal is None else np.arange(n_rows) >= reversal
+        if reversal is None:
+            flags = (
+                "the flow never reverses: the rows are of rotating stall without surge, which "
+                "holds τ only as far as the flow moves",
+            )
+        elif _recovers(record, window):
             flags = (
                 "no unstalled regime was declared; rows after recovery, if any, are in the fit",
             )
@@ -382,7 +387,7 @@ def segment(
 def _recovers(record: Record, window: slice) -> bool:
     """Return whether the flow comes back, for 20 ms, to a good part of that before surge."""
     shortest = round(SHORTEST_S * record.sample_rate_hz)
-    flow, reversal = record["Wc25_kg_s"], first_reversal(record)
+    flow, reversal = record["Wc25_kg_s"], first_reversal(record) or 0
     if reversal < shortest:
         return False
     before = float(np.median(flow[:reversal]))

@@ -210,14 +210,18 @@ def test_without_a_shift_the_threshold_divides_the_two_levels_of_the_flow() -> N
     assert 20.0 < threshold < 60.0
 
 
-def test_a_record_that_never_recovers_has_no_threshold() -> None:
+@pytest.mark.parametrize("least", [-np.inf, 15.0])
+def test_a_record_that_never_recovers_has_no_threshold(least: float) -> None:
     record = record_of()
-    flow = np.where(record.time_s < 0.25, 112.0, np.minimum(record["Wc25_kg_s"] / LBM, 45.0))
+    flow = np.where(record.time_s < 0.25, 112.0, np.clip(record["Wc25_kg_s"] / LBM, least, 45.0))
     mild = record_of(flow=flow)
     window = window_rows(mild, (1.0, 2.5))
     assert hub_tip_stall(mild.without(["Wc25_hub_kg_s"]), window, 82.5) is None
     for state in (hub_tip_stall(mild, window, 82.5), None):
         assert estimated_threshold_lbm_s(mild, mild["Wc25_kg_s"], window, state)[0] is None
+    # In rotating stall without surge the flow need not reverse.
+    flags = segment(mild, window, threshold_lbm_s=None).history[-1].flags
+    assert (least > 0.0) is bool(flags)
 
 
 def test_straight_lines_are_drawn_across_what_does_not_count() -> None:
