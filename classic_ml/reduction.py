@@ -285,7 +285,7 @@ def _unfiltered(
     if not rakes.one_rake:
         # The last are those of total pressure.
         apart = rakes.cell_differences(25)[-1:]
-        renamed += [Channel(RAKE_DIFFERENCE, values, "Pa") for values in apart]
+        renamed += [Channel(RAKE_DIFFERENCE, values, "Pa") for values, _ in apart]
     return plain.after(entry, add=renamed), rakes
 
 

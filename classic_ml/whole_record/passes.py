@@ -46,7 +46,7 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
         if differences and stop - start >= fewest:
             # Of total pressure: near zero flow hum grows in the flow (18 kg/s of hum to 6 of the
             # cells on a record where it was 0.6 to 5 kPa in pressure).
-            piece = differences[-1][start:stop]
+            piece = differences[-1][0][start:stop]
             frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=fewest)
             power = power + density * piece.size
     if isinstance(power, float):
@@ -77,7 +77,7 @@ def without_cells(
         return values - period_average(values, period_s, rate_hz)
 
     def cleaned(plane: int, *averages: FloatArray) -> list[FloatArray]:
-        padded = [np.pad(quick(each), reach) for each in signals.cell_differences(plane)]
+        padded = [np.pad(quick(each), reach) for each, _ in signals.cell_differences(plane)]
         if not padded:
             return list(averages)
         # The rake differences at lags of both signs, without what is slower than a cell.

@@ -182,16 +182,13 @@ class RakeSignals:
         """Whether plane 25 has a single rake."""
         return len({pair.rake for pair in self.chain.of_plane(25)}) == 1
 
-    def cell_differences(self, plane: int) -> list[FloatArray]:
+    def cell_differences(self, plane: int) -> list[tuple[FloatArray, FloatArray]]:
         """Return what two probes of a plane read differently: cells and noise, no surge.
 
-        Two rakes at one immersion; with one rake the total pressures of its two immersions, which
-        the cells reach unalike. Flow is left out there: it shifts between hub and tip in stall.
+        Beside each their mean, which has surge. Two rakes at one immersion; with one rake the total
+        pressures of its two immersions, which the cells reach unalike. Flow is left out there: it
+        shifts between hub and tip in stall.
         """
-        return [difference for difference, _ in self.differences_and_means(plane)]
-
-    def differences_and_means(self, plane: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Return each difference with the mean of the two probes, which has surge as well."""
         if self.one_rake:
             tip, hub = (self.at(self.total_Pa, plane, immersion) for immersion in ("tip", "hub"))
             return [] if tip is None or hub is None else [(tip - hub, 0.5 * (tip + hub))]
@@ -199,7 +196,7 @@ class RakeSignals:
         for signals in (self.flow_kg_s, self.total_Pa):
             for immersion in self.immersions(plane):
                 own = self._alike(signals, plane, immersion)
-                found += [(other - own[0], 0.5 * (other + own[0])) for other in own[1:]]
+                found += [(first - own[0], 0.5 * (first + own[0])) for first in own[1:]]
         return found
 
     def planes(self) -> Planes:

@@ -25,7 +25,6 @@ from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.ports import powers_of_phi
 from comparisons.missing_effect.probes import Leftover
-from comparisons.missing_effect.results import MissingEffect
 from comparisons.missing_effect.search import alias_sets, search, verdict_of
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
 from comparisons.missing_effect.whole_runs import N_TWINS, Progress
@@ -138,7 +137,10 @@ def _concluded(
         return replace(diagnosis, verdict="provisional", missing=doubted)
     if verdict != "noise_model_wrong" or noise.flow is None:
         return diagnosis
-    return replace(diagnosis, missing=(_noise_on_flow(noise),))
+    # The model of the errors lacks it, not that of the lag.
+    sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
+    evidence = {"gain_over_autoregression": noise.flow_gain}
+    return replace(diagnosis, missing=(missing_effect(FLOW_NOISE, (sigma,), evidence),))
 
 
 def _beside_kin(diagnosis: LagDiagnosis, final: Bench) -> LagDiagnosis:
@@ -174,13 +176,6 @@ def _stands_in(kin: Effect, effect: Effect, final: Bench) -> bool:
     """Tell whether the rows do not tell an effect from its kin, or do not show it alone."""
     tried = final.stand_ins(effect, None, [effect, kin])
     return not tried or any(candidate.name == kin.name for candidate in tried)
-
-
-def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
-    """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
-    sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
-    evidence = {"gain_over_autoregression": noise.flow_gain}
-    return missing_effect(FLOW_NOISE, (sigma,), evidence)
 
 
 def _otherwise(left: Leftover, noise: NoiseModel) -> str:

@@ -178,8 +178,8 @@ class LagDiagnosis(Diagnosis):
 
     @property
     def acts_unscored(self) -> bool:
-        """Whether the loss in reversed flow is all: the τ to quote is that of the comparison."""
-        return self.reverse_loss is not None and len(self.missing) == 1
+        """Whether nothing was added to what is scored: the τ to quote is that of the comparison."""
+        return 0 < len(self.missing) == bool(self.ripple) + bool(self.reverse_loss)
 
     @property
     def equations(self) -> tuple[str, ...]:

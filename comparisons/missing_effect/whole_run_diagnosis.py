@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record_fit import LARGEST_SHARE
 from classic_ml.whole_run import check_rates
@@ -78,7 +77,8 @@ def diagnose_whole_runs(
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
     readings = readings_of(ordered)
     data = whole_data(ordered, readings)
-    line = _strongest_line(readings)
+    lines = [line for reading in readings if (line := ripple_line(reading)) is not None]
+    line = max(lines, key=lambda one: one.height) if len(lines) == len(readings) else None
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
     # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
@@ -247,11 +247,6 @@ def _decided(
         why = f"{why}, and {size_words(null.matters, null.unit)} would matter"
         untold.append(Untold(effect.name, why, f"{effect.confirm}; {BETTER_RECORDS}"))
     return tuple(untold), tuple(absent)
-
-
-def _strongest_line(readings: Sequence[RecordReading]) -> RippleLine | None:
-    lines = [line for reading in readings if (line := ripple_line(reading)) is not None]
-    return max(lines, key=lambda line: line.height) if len(lines) == len(readings) else None
 
 
 def _with_line(diagnosis: LagDiagnosis, line: RippleLine | None, twins: bool) -> LagDiagnosis:

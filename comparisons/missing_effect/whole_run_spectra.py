@@ -47,9 +47,8 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     Surge switches the known cells on and off: that leaves side lines in pairs, as far below a
     harmonic of the cells as above it, and nearly as high, as high as the spectrum of the switching
     at that distance. How unequal the pairs of this record are is the null; a pattern of its own has
-    no partner and stands above both. No probe is like another, so that a difference has a part of
-    what the whole flow does as well, most of it near zero flow: it is left out where the mean has
-    more of a line, beyond the share of its cells, than the difference has.
+    no partner and stands above both. As no probe is like another, a difference has a part of what
+    the whole flow does: where the mean has more of a line, the cells' share off, it is no pattern.
     """
     from scipy.ndimage import maximum_filter1d, median_filter
     from scipy.stats import median_abs_deviation, norm
@@ -60,7 +59,11 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
         return None
     stalled = np.zeros(signals.inlet_K.size, dtype=np.bool_)
     stalled[passes.row] = reading.in_stall
-    both = [each for plane in (25, 31) for each in signals.differences_and_means(plane)]
+
+    def quick(values: FloatArray, periods: float = 3.0) -> FloatArray:
+        return values - period_average(values, periods * passes.period_s, rate_hz)
+
+    both = [tuple(map(quick, pair)) for p in (25, 31) for pair in signals.cell_differences(p)]
     if not both or np.count_nonzero(stalled) < 10.0 * passes.rows_of(passes.period_s):
         return None
     size = int(2 ** np.ceil(np.log2(2 * stalled.size)))
@@ -74,15 +77,11 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     # The spectrum of a real signal is that at -f, too.
     switching = switching[apart] + switching[(apart + 2 * harmonics[:, None]) % size]
 
-    def power_of(values: FloatArray) -> FloatArray:
-        quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
-        return np.asarray(np.abs(np.fft.rfft(_held(quick, stalled), size)) ** 2)
-
-    def heights_of(values: FloatArray, mean: FloatArray) -> tuple[FloatArray, ...]:
-        power = power_of(values)
+    def heights_of(*pair: FloatArray) -> tuple[FloatArray, ...]:
+        power, of_mean = (np.abs(np.fft.rfft(_held(each, stalled), size)) ** 2 for each in pair)
         around = np.maximum(median_filter(power, round(BACKGROUND_HZ / step_hz) | 1), 1e-300)
         nearby = maximum_filter1d(power, near)
-        shared = np.sqrt(maximum_filter1d(power_of(mean), near) / np.maximum(nearby, 1e-300))
+        shared = np.sqrt(maximum_filter1d(of_mean, near) / np.maximum(nearby, 1e-300))
         of_cells = shared <= 1.0 + shared[harmonics[0]]
         return power / around, of_cells * power / around, nearby[harmonics] @ switching / around
 
@@ -114,17 +113,16 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
         return None
     best = int(found[np.argmax(height[found])])
     line_hz, tall = float(frequency[best]), float(height[best])
-    psi_p = np.nan_to_num(signals.coefficients(signals.planes())[1])
-    quick = _held(psi_p - period_average(psi_p, passes.period_s, rate_hz), stalled)
-    amplitude = _amplitude(quick, line_hz, rate_hz) / float(np.mean(stalled))
+    psi_p = quick(np.nan_to_num(signals.coefficients(signals.planes())[1]), 1.0)
+    amplitude = _amplitude(_held(psi_p, stalled), line_hz, rate_hz) / float(np.mean(stalled))
     # The bound for a line in white noise: √6 / (2π T √(power ratio)).
-    spread_hz = float(np.sqrt(6.0 / tall)) * rate_hz / (2.0 * np.pi * quick.size)
+    spread_hz = float(np.sqrt(6.0 / tall)) * rate_hz / (2.0 * np.pi * stalled.size)
     return RippleLine(line_hz, amplitude, tall, spread_hz)
 
 
 def _is_hum(
     reading: RecordReading,
-    differences: Sequence[tuple[FloatArray, FloatArray]],
+    differences: Sequence[tuple[FloatArray, ...]],
     stalled: BoolArray,
     frequency_hz: float,
 ) -> bool:
@@ -135,8 +133,7 @@ def _is_hum(
     n = max(reversal - passes.rows_of(BEFORE_SURGE_S), 0)
     if n * frequency_hz < FEWEST_TURNS * rate_hz:
         return False
-    for values, _ in differences:
-        quick = values - period_average(values, 3.0 * passes.period_s, rate_hz)
+    for quick, _ in differences:
         in_stall = _amplitude(_held(quick, stalled), frequency_hz, rate_hz) / np.mean(stalled)
         before = _amplitude(quick[:n], frequency_hz, rate_hz)
         # In noise the square of an amplitude follows an exponential law.
