@@ -136,10 +136,7 @@ def _repeating(
 
 
 def first_reversal(record: Record) -> int | None:
-    """Return the row at which the flow at plane 25 first runs backwards; None where it never does.
-
-    It does not in rotating stall without surge.
-    """
+    """Return the row at which the flow at plane 25 first runs backwards; None without one."""
     backwards = _slow(record, "Wc25_kg_s")["Wc25_kg_s"] < 0.0
     return int(np.argmax(backwards)) if backwards.any() else None
 

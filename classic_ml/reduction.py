@@ -322,7 +322,9 @@ def _with_states(
     """Add the stall state, the segments to be fitted and the rows of the free run."""
     rows, found = window.rows, window.entry.parameters["origin"] == "found"
     period_s, has_cells = cell_period_s(unfiltered, rows)
-    stalled = hub_tip_stall(unfiltered, rows, 1.0 / period_s)
+    # A record that continues another does not hold the reading near stall.
+    unstalled = slice(0) if test.near_stall_shifts else near_stall_rows(record, test)
+    stalled = hub_tip_stall(unfiltered, rows, 1.0 / period_s, unstalled)
     record, threshold = _segmented(record, unfiltered, test, settings, window, stalled)
     in_stall = record["in_stall"] > 0.5
     parameters: dict[str, str | int | float | bool] = {"stall_rule": "hub-tip"}

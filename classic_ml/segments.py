@@ -241,10 +241,11 @@ def stall_by_shift(
     return np.asarray(sign * (shift - unstalled) > 0.5 * far), far
 
 
-def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray | None:
+def hub_tip_stall(record: Record, window: slice, cell_hz: float, known: slice) -> BoolArray | None:
     """Return the in-stall state by the machine itself: in stall hub and tip pass other shares.
 
-    The difference is averaged over one period of the stall cells. None where it hardly moves.
+    The difference is averaged over one period of the stall cells. None where it hardly moves, or
+    where it shows stall in rows that are ``known`` to be unstalled.
     """
     if "Wc25_hub_kg_s" not in record or "Wc25_tip_kg_s" not in record:
         return None
@@ -254,7 +255,8 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray | 
     # Matched near stall, hub and tip pass alike before the surge, which a record may begin behind.
     state, far = stall_by_shift(shift, inside, 0, by_median=True)
     largest = float(np.max(record["Wc25_hub_kg_s"] + record["Wc25_tip_kg_s"])) / 2.0
-    return state if far > LEAST_SHIFT * largest else None
+    wrong = 2 * np.count_nonzero(state[known]) > state[known].size
+    return None if wrong or far <= LEAST_SHIFT * largest else state
 
 
 def estimated_threshold_lbm_s(
@@ -346,10 +348,7 @@ def segment(
         reversal, fitted = first_reversal(record), inside
         state = inside if reversal is None else np.arange(n_rows) >= reversal
         if reversal is None:
-            flags = (
-                "the flow never reverses: the rows are of rotating stall without surge, which "
-                "holds τ only as far as the flow moves",
-            )
+            flags = ("the flow never reverses: τ shows only as far as the throttle moves it",)
         elif _recovers(record, window):
             flags = (
                 "no unstalled regime was declared; rows after recovery, if any, are in the fit",

@@ -258,7 +258,10 @@ def fit_work_characteristic(
     if fits[0].at_bound is not FitState.CONVERGED:
         return _answer(setup, int(cycles.size), std, fits[0].at_bound)
     theta = _corrected(*(fit.theta for fit in fits))[: 1 + n_terms]
-    late = replace(setup, record=_a_sample_late(record))
+    before = np.maximum(np.arange(record.n_samples) - 1, 0)
+    moved = [Channel(name, record[name][before], "K") for name in ("T25_K", "T31_K")]
+    entry = LedgerEntry("align", "temperatures a sample later, as the pressures may be")
+    late = replace(setup, record=record.after(entry, add=moved))
     misaligned = _corrected(*(fit.theta for fit in _fits(late, time_constant_s)))
     blocks = [np.flatnonzero(setup.cycle[setup.scored] == number) for number in cycles]
     moves = [leave_out(-fit.jacobian, fit.residual, blocks)[0].T for fit in fits]
@@ -276,13 +279,6 @@ def fit_work_characteristic(
     return _answer(setup, int(cycles.size), std, FitState.CONVERGED, theta, covariance, given=given)
 
 
-def _a_sample_late(record: Record) -> Record:
-    """Return a record with its temperatures a sample later, as the pressures may be."""
-    before = np.maximum(np.arange(record.n_samples) - 1, 0)
-    late = [Channel(name, record[name][before], "K") for name in ("T25_K", "T31_K")]
-    return record.after(LedgerEntry("align", "temperatures a sample later"), add=late)
-
-
 def _setup(
     record: Record,
     test: TestDescription,
@@ -293,7 +289,7 @@ def _setup(
     inside = np.flatnonzero(window)
     rows = slice(int(inside[0]), int(inside[-1]) + 1)
     cell_hz = cell_frequency_hz(record, rows)
-    stalled = hub_tip_stall(record, rows, cell_hz)
+    stalled = hub_tip_stall(record, rows, cell_hz, slice(0))
     if stalled is None:
         raise InputError(
             f"{record.source}: plane 25",

@@ -86,14 +86,10 @@ def test_cycles_that_stop_repeating_are_left_out() -> None:
     assert cycles.to_s == pytest.approx(3.0, abs=0.15)
 
 
-def test_the_threshold_is_exact_and_monotone() -> None:
+def test_the_threshold_is_exact() -> None:
     flow = np.array([60.0, 50.0, 49.9, 0.0, -10.0, 50.0, 70.0])
     expected = np.array([False, False, True, True, True, False, False])
     np.testing.assert_array_equal(in_stall_by_threshold(flow, 50.0), expected)
-    rng = np.random.default_rng(0)
-    wild = rng.uniform(-20, 80, 500)
-    counts = [in_stall_by_threshold(wild, t).sum() for t in (20.0, 40.0, 60.0)]
-    assert counts == sorted(counts)
 
 
 def test_hysteresis_holds_the_state_inside_the_band() -> None:
@@ -131,7 +127,6 @@ def test_segments_lie_in_stall_and_in_the_window() -> None:
     inside = out["segment"] > 0
     assert np.all(out["in_stall"][inside] == 1)
     assert np.all(inside_of(window)[inside])
-    assert np.all(out["Wc25_kg_s"][inside] / LBM < 50.0)
     assert out["segment"].max() == pytest.approx(1.5 / 0.14, abs=1.0)
     # Rows of stall outside the window are marked as stall, but not as segments.
     assert np.any((out["in_stall"] == 1) & ~inside_of(window))
@@ -169,7 +164,7 @@ def test_a_window_that_the_record_does_not_hold_is_refused(window_s: tuple[float
 def test_the_hub_minus_tip_flow_tells_the_stall_state(shift: float) -> None:
     record = record_of(shift=shift)
     window = window_rows(record, (1.0, 2.5))
-    state = hub_tip_stall(record, window, 82.5)
+    state = hub_tip_stall(record, window, 82.5, slice(200))
     assert state is not None
     got = state[window]
     true = (record["Wc25_kg_s"] / LBM < 50.0)[window]
@@ -177,6 +172,7 @@ def test_the_hub_minus_tip_flow_tells_the_stall_state(shift: float) -> None:
     changes = np.flatnonzero(np.diff(true.astype(int)))
     wrong = np.flatnonzero(got != true)
     assert all(np.abs(changes - row).min() <= 2 for row in wrong)
+    assert hub_tip_stall(record, window, 82.5, window) is None
 
 
 def test_a_deep_rise_is_half_of_the_second_deepest() -> None:
@@ -188,7 +184,7 @@ def test_the_threshold_is_estimated_from_the_shift_between_hub_and_tip() -> None
     """The flow at which the made-up machine leaves stall is 50 lbm/s."""
     record = record_of(seconds=4.0)
     window = window_rows(record, (1.0, 3.8))
-    state = hub_tip_stall(record, window, 82.5)
+    state = hub_tip_stall(record, window, 82.5, slice(200))
     threshold, entry = estimated_threshold_lbm_s(record, record["Wc25_kg_s"], window, state)
     assert threshold == pytest.approx(50.0, abs=1.5)
     assert entry.parameters["threshold_lbm_s"] == pytest.approx(threshold, abs=1e-3)
@@ -216,10 +212,9 @@ def test_a_record_that_never_recovers_has_no_threshold(least: float) -> None:
     flow = np.where(record.time_s < 0.25, 112.0, np.clip(record["Wc25_kg_s"] / LBM, least, 45.0))
     mild = record_of(flow=flow)
     window = window_rows(mild, (1.0, 2.5))
-    assert hub_tip_stall(mild.without(["Wc25_hub_kg_s"]), window, 82.5) is None
-    for state in (hub_tip_stall(mild, window, 82.5), None):
+    assert hub_tip_stall(mild.without(["Wc25_hub_kg_s"]), window, 82.5, slice(0)) is None
+    for state in (hub_tip_stall(mild, window, 82.5, slice(200)), None):
         assert estimated_threshold_lbm_s(mild, mild["Wc25_kg_s"], window, state)[0] is None
-    # In rotating stall without surge the flow need not reverse.
     flags = segment(mild, window, threshold_lbm_s=None).history[-1].flags
     assert (least > 0.0) is bool(flags)
 

@@ -262,7 +262,7 @@ def test_every_row_left_out_of_the_free_run_is_named_once() -> None:
     period_s, has_cells = cell_period_s(record, window)
     assert has_cells
     assert period_s == pytest.approx(PERIOD_S, rel=0.01)
-    state = hub_tip_stall(record, window, 1.0 / period_s)
+    state = hub_tip_stall(record, window, 1.0 / period_s, slice(0))
     assert state is not None
     assert np.mean(state == stalled) > 0.95
     free_run, entry = free_run_rows(record, state, window, period_s)
