@@ -47,7 +47,7 @@ SMALLEST_PART = 0.005
 # What lessens each part of the error of τ.
 REMEDIES = {
     "the scatter of the cycles": "a longer record",
-    "the choices of the fit": "a record with smaller loops in stall, not a longer one",
+    "the choices of the fit": "a record whose flow moves in stall and does not reverse",
     "the noise of the probes": "probes or converters of lower noise",
     "the time from plane to plane": "a pressure step applied to both planes at once",
     "the law of the probes near zero flow": "a calibration of the probes near zero flow",

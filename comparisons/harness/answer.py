@@ -33,7 +33,7 @@ APART = 2.0
 # Checks whose failure withholds the recommendation of a whole-run fit.
 DECISIVE = {
     "phi_coverage": "its φ does not cover the range of its curve evenly",
-    "input_correlation": "its errors depend on φ, so that the model lacks something",
+    "input_correlation": "its errors depend on φ, so that the model or the stall state is wrong",
 }
 
 

@@ -81,7 +81,7 @@ def fit_work(
             f"{record.source}: ψ",
             expected=f"at least {FEWEST_ROWS} rows of forward flow in stall",
             found=f"{phi.size}",
-            remedy="name a longer [window] in the test description",
+            remedy="within a period of the stall cells of stall entry and recovery none counts",
         )
     low, high = np.percentile(phi, [5.0, 95.0])
     apart = LEAST_PIECE * (high - low)
@@ -125,8 +125,13 @@ def why_withheld(fit: WorkCharacteristic) -> str:
             f"τ or the curve is known to no better than {100 * LARGEST_SHARE:.0f} %; hold τ with "
             "`sindy-surge work --tau`, or take a longer record."
         )
+    cycles = counted(fit.n_cycles, "cycle")
+    if fit.fit_state is FitState.TOO_FEW_CYCLES:
+        return (
+            "A row counts in forward flow in stall, a period of the stall cells and more from its "
+            f"entry and its end: {fit.n_scored} rows of {cycles} do, too few to know the scatter."
+        )
     if fit.fit_state is FitState.LAG_UNDETERMINED:
-        cycles = counted(fit.n_cycles, "cycle")
         return f"τ does not show in {cycles}: its error is as large as τ itself."
     return fit.fit_state.advice
 

@@ -33,8 +33,8 @@ SENTENCES: Mapping[str, str] = {
     "were not fitted",
     "psi_unknown": "ψ is not known: {why}",
     "psi_by_rise": "no ψ_QS is stated from this series: its ψ is that of the temperature rise "
-    "alone, which reads almost a third too high; `sindy-surge work` (or `run`) fits ψ_QS to the "
-    "power, from the raw record",
+    "alone, which reads too high; `sindy-surge work` (or `run`) fits ψ_QS to the power, from the "
+    "raw record",
     # Of the fits.
     "estimator": "{remark}",
     "taus_apart": "{who} put τ between {low_ms:.3g} and {high_ms:.3g} ms: what they disagree on is "
