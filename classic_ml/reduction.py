@@ -210,7 +210,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
         if times_s is not None:
             entry = LedgerEntry(
                 "window",
-                f"{times_s[0]:g} to {times_s[1]:g} s, as {origin} says",
+                f"{times_s[0]:g} to {times_s[1]:g} s, as stated in {origin}",
                 {"from_s": times_s[0], "to_s": times_s[1], "origin": origin},
             )
             return _Window(times_s, window_rows(record, times_s, where), entry)
@@ -372,14 +372,12 @@ def _segmented(
             unfiltered, record["Wc25_kg_s"], window.rows, stalled
         )
         record = record.after(entry)
-    hysteresis = settings.hysteresis_lbm_s
-    if hysteresis is not None and threshold is not None and hysteresis >= threshold:
-        raise InputError(
-            "ReductionSettings.hysteresis_lbm_s",
-            expected=f"less than the threshold of {threshold:g} lbm/s",
-            found=f"{hysteresis:g}",
-        )
-    hysteresis = test.hysteresis_lbm_s if hysteresis is None else hysteresis
+    hysteresis, where = settings.hysteresis_lbm_s, "ReductionSettings.hysteresis_lbm_s"
+    if hysteresis is None:
+        hysteresis, where = test.hysteresis_lbm_s, f"{test.source}: segmentation.hysteresis_lbm_s"
+    if threshold is not None and 0.0 < threshold <= hysteresis:
+        expected = f"less than the threshold of {threshold:g} lbm/s"
+        raise InputError(where, expected=expected, found=f"{hysteresis:g}")
     segmented = segment(record, window.rows, threshold_lbm_s=threshold, hysteresis_lbm_s=hysteresis)
     return segmented, threshold
 

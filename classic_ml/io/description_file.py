@@ -278,18 +278,19 @@ def _wrong_probes(document: Document) -> Iterator[InputError]:
     pairs: dict[tuple[object, ...], list[PressureChannel]] = {}
     for probe in probes:
         pairs.setdefault((probe.plane, probe.rake, probe.immersion), []).append(probe)
-    alone = [
-        f"{probe.name} ({probe.facing})"
-        for pair in pairs.values()
-        if sorted(probe.facing for probe in pair) != ["aft", "forward"]
-        for probe in pair
-    ]
-    if alone:
+    odd = [p for p in pairs.values() if sorted(probe.facing for probe in p) != ["aft", "forward"]]
+    if odd:
+        # One place used twice leaves another without its mate.
+        twice = max(odd, key=len)
+        remedy = "leave out both probes of a pair, in the table too, when one is dead"
+        if len({probe.facing for probe in twice}) < len(twice):
+            place = f"plane {twice[0].plane}, rake {twice[0].rake}, {twice[0].immersion}"
+            remedy = f"{place} is stated twice: correct the place of one of its probes"
         yield InputError(
             "channels",
             expected="one forward and one aft probe at each rake and immersion",
-            found=", ".join(alone),
-            remedy="leave out both probes of a pair, in the table too, when one is dead",
+            found=", ".join(f"{probe.name} ({probe.facing})" for pair in odd for probe in pair),
+            remedy=remedy,
         )
     for one, other in (pair for pair in pairs.values() if len(pair) == 2):
         for name in ("probe_slope", "probe_offset"):
