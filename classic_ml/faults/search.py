@@ -107,7 +107,7 @@ def alike(channels: Iterable[PressureChannel | TemperatureChannel], *keys: str) 
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
 # A short dropout differs from a plateau by its edges: both are jumps far beyond the usual step.
-DROPOUT_ROWS = 5
+DROPOUT_ROWS = 3
 DROPOUT_JUMP = 10.0
 # At so many places of a record its usual step is seen.
 USUAL_ROWS = 10_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -79,8 +80,9 @@ def draft_test_toml(
     models = {channel.name: _model(channel) for channel in channels}
     others = [channel for channel in channels if models[channel.name] is None]
     known = [f"name = {_text(Path(inspection.source).stem)}"]
-    if clock is not None and clock.rate_hz > 0.0:
-        known.append(f"sample_rate_hz = {float(f'{clock.rate_hz:.6g}')!r}")
+    rate_hz = 1.0 / (inspection.stated_step_s or math.inf) if clock is None else clock.rate_hz
+    if rate_hz > 0.0:
+        known.append(f"sample_rate_hz = {float(f'{rate_hz:.6g}')!r}")
     tables = [
         _HEAD.format(source=" ".join(inspection.source.split())),
         _table("test", TestTable, known),

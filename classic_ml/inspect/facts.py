@@ -232,6 +232,8 @@ class Inspection:
     surges_s : tuple of float or None
         From when to when the machine surges, by the clock of the file; None where no part of the
         record stands out.
+    stated_step_s : float or None
+        The step that the file states of its waveforms.
     """
 
     source: str
@@ -240,6 +242,7 @@ class Inspection:
     clock: ClockFacts | None
     left_aside: dict[str, str]
     surges_s: tuple[float, float] | None = None
+    stated_step_s: float | None = None
 
     def channel(self, name: str) -> ChannelFacts | None:
         """Return one column, or None where there is none of that name."""
@@ -295,6 +298,7 @@ def inspect_file(
         None if clock is None else _clock_facts(clock, unit, np.concatenate(times)),
         dict(stored.left_aside),
         _surging(np.concatenate(sections)) if sections else None,
+        stored.step_s if stored.step_s > 0.0 else None,
     )
 
 

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
-from classic_ml.flow import IMPOSSIBLE_SHARE
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
 from classic_ml.io.table import NOT_FINITE_REMEDY, StoredTable
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.series import CLOCK_TOLERANCE, MINIMUM_ROWS, uniform_period_s
+from classic_ml.series import (
+    CLOCK_TOLERANCE,
+    MINIMUM_ROWS,
+    jittering_period_s,
+    uniform_period_s,
+)
 from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -26,6 +31,8 @@ MOST_VALUES = 200_000_000
 LISTED = 12
 # A crystal clock keeps 1e-4; a record at another rate is off by far more.
 RATE_TOLERANCE = 1e-3
+# Spikes and drop-outs, which are marked and left out later; more is another unit.
+DROPPED_SHARE = 0.05
 # Beyond these no gas of a compressor is, nor a thermocouple that measures it.
 POSSIBLE_K = (50.0, 3000.0)
 
@@ -180,7 +187,8 @@ def _read(
     where = f"{test.source}: file.time_unit"
     clock = conversion_to_si(_clock_unit(stored, test), "time", where)
     fed = tuple(channel.file_column for channel in test.channels)
-    names = (layout.time, *fed) if has_clock else fed
+    # A clock that does not count is read where there is one, to be set beside the rate.
+    names = tuple(dict.fromkeys((layout.time, *fed) if layout.time in stored.names else fed))
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
@@ -246,7 +254,7 @@ def _record(
         part = ", a part of the file"
         if time_s[0] < window[0] - 1.0 / test.sample_rate_hz:
             part += f" (from {window[0]:g} s on was asked; the near-stall reading is before it)"
-    _check_rate(time_s, stored.source, test)
+    _check_rate(stored, test, time_s, columns.get(test.file.time))
     channels: dict[str, Channel] = {}
     for channel in test.channels:
         values = np.asarray(columns.pop(channel.file_column), dtype=np.float64)
@@ -264,16 +272,26 @@ def _record(
     return Record(channels, rate_hz, float(time_s[0]), stored.source, (entry,))
 
 
-def _check_rate(time_s: FloatArray, source: str, test: TestDescription) -> None:
-    """Refuse a clock that is not uniform, or has another rate than test.toml says."""
-    ratio = uniform_period_s(time_s, f"{source}: column time_s") * test.sample_rate_hz
+def _check_rate(
+    stored: StoredTable, test: TestDescription, time_s: FloatArray, column: Any | None
+) -> None:
+    """Refuse a clock that is not uniform, or a file that states another rate than test.toml."""
+    where = f"{stored.source}: column {test.file.time}"
+    if test.file.clock == "column":
+        period_s = uniform_period_s(time_s, where)
+    elif column is not None:
+        clock = conversion_to_si(_clock_unit(stored, test), "time", where)
+        period_s = jittering_period_s(clock.to_si(np.asarray(column, dtype=np.float64)))
+    else:
+        where, period_s = f"{stored.source}: step of its waveforms", stored.step_s
+    ratio = period_s * test.sample_rate_hz
     # The ends of a printed clock are each rounded by up to half a digit, worth half of what
     # a step may be off at the coarsest clock that is let through.
-    if abs(ratio - 1.0) <= RATE_TOLERANCE + CLOCK_TOLERANCE / (time_s.size - 1):
+    if not abs(ratio - 1.0) > RATE_TOLERANCE + CLOCK_TOLERANCE / (time_s.size - 1):
         return
     in_ms = abs(ratio / 1e3 - 1.0) < RATE_TOLERANCE
     raise InputError(
-        f"{source}: column time_s",
+        where,
         expected=f"{test.sample_rate_hz:g} samples a second, as {test.source} [test] "
         "sample_rate_hz says",
         found=f"{test.sample_rate_hz / ratio:g}",
@@ -292,7 +310,7 @@ def _check_readings(
 ) -> None:
     """Refuse what is no number, codes that the converter does not have, and what no gas has.
 
-    Of the last a few rows are spikes, which are marked and left out later.
+    Of the last a few rows pass.
     """
     low, high, possible, remedy = -np.inf, np.inf, "", "check the unit of the column"
     if isinstance(channel, CountChannel):
@@ -300,7 +318,7 @@ def _check_readings(
         possible = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
     elif isinstance(channel, PressureChannel):
         low, possible = np.nextafter(0.0, 1.0), "absolute pressures above 0 Pa"
-        remedy += f" and reference_Pa in [channels.{channel.name}] of {test.source}"
+        remedy += f", its sign and reference_Pa in [channels.{channel.name}] of {test.source}"
     elif channel is not None:
         low, high = POSSIBLE_K
         possible = f"absolute temperatures in K, {low:g} to {high:g}"
@@ -309,7 +327,7 @@ def _check_readings(
         return
     finite = np.isfinite(values)
     good = finite if not finite.all() else (low <= values) & (values <= high)
-    few = np.count_nonzero(~good) <= IMPOSSIBLE_SHARE * good.size
+    few = np.count_nonzero(~good) <= DROPPED_SHARE * good.size
     if few and finite.all() and channel is not None and not isinstance(channel, CountChannel):
         return
     row = int(np.argmin(good))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,7 +36,7 @@ class StoredTable:
     ``names`` are those of its columns, that of the clock among them; ``read(names)`` yields some of
     them block by block from the first row on, a tuple of one array a column. ``units`` are what the
     file itself states by column, ``left_aside`` what else is in it, and why that is no column of
-    numbers: text, another length.
+    numbers: text, another length; ``step_s`` is the step that it states, NaN where it states none.
     """
 
     source: str
@@ -43,6 +44,7 @@ class StoredTable:
     read: Callable[[tuple[str, ...]], Iterator[Columns]]
     units: Mapping[str, str] = field(default_factory=dict)
     left_aside: Mapping[str, str] = field(default_factory=dict)
+    step_s: float = math.nan
 
     def __post_init__(self) -> None:
         for name, count in Counter(self.names).items():
@@ -86,7 +88,7 @@ def fault_of(error: Exception, source: str, what: str) -> Exception:
 
 @dataclass(frozen=True)
 class Vector:
-    """A vector of numbers in a file: its groups and its name, and the unit that the file states.
+    """A vector of numbers in a file: its groups and its name, and what the file states of it.
 
     The values have a length, and give some of them when they are sliced.
     """
@@ -94,6 +96,7 @@ class Vector:
     path: tuple[str, ...]
     values: Any
     unit: str = ""
+    step_s: float = math.nan
 
 
 def stated_unit(attributes: Mapping[Any, Any]) -> str:
@@ -179,7 +182,8 @@ def grouped(
         if len(v.values) != size
     }
     units = {name: " ".join(v.unit.split()) for name, v in columns.items() if v.unit.strip()}
-    return StoredTable(source, tuple(columns), read, units, {**left_aside, **others})
+    aside = {**left_aside, **others}
+    return StoredTable(source, tuple(columns), read, units, aside, taken[0].step_s)
 
 
 def _listed(vectors: Sequence[Vector]) -> str:

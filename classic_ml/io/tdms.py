@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -48,5 +49,6 @@ def open_tdms(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
             if not len(channel) or np.dtype(channel.dtype).kind not in "iufb":
                 left_aside["/".join(path)] = "no vector of numbers"
             else:
-                vectors.append(Vector(path, channel, stated_unit(channel.properties)))
+                step_s = float(channel.properties.get("wf_increment", math.nan))
+                vectors.append(Vector(path, channel, stated_unit(channel.properties), step_s))
         yield grouped(str(file), vectors, layout, left_aside)

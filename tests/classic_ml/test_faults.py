@@ -30,15 +30,11 @@ def spoiled(made: RawTest, name: str, change: Change) -> tuple[Record, TestDescr
     return dataclasses.replace(made, columns=columns).load()
 
 
-def window_of(record: Record) -> slice:
-    return record.rows_between(0.7, 1.4)
-
-
 def chosen(record: Record, test: TestDescription) -> Record:
     record = inspect_readings(record, test)
     shifts, _ = near_stall_match(calibrate(record, test), test)
     record = calibrate(record, test, shifts)
-    return choose_channels(record, test, window_of(record))
+    return choose_channels(record, test, record.rows_between(0.7, 1.4))
 
 
 def between(start: int, stop: int, value: float | None = None) -> Change:
@@ -62,7 +58,7 @@ def test_no_false_alarm_at_any_noise(seed: int, noise: float) -> None:
         (between(900, 930, 4095.0), CLIPPED, "30 rows clipped, 0.900 to 0.929 s"),
         (between(900, 930, 0.0), CLIPPED, "30 rows clipped"),
         (between(900, 990), STUCK, "stuck or dropped out, 0.900 to 0.989 s"),
-        (between(900, 912, 2048.0), STUCK, "12 rows stuck or dropped out"),
+        (between(900, 904, 2048.0), STUCK, "4 rows stuck or dropped out"),
         (between(800, 1501), STUCK, "stuck or dropped out, 0.800 to 1.500 s"),
     ],
     ids=["high", "low", "stuck", "zero drop", "dead from then on"],
@@ -88,19 +84,6 @@ def test_with_few_faults_a_probe_is_kept(made: RawTest, rows: tuple[int, int]) -
     kept = chosen(*spoiled(made, PROBE, between(*rows, 4095.0)))
     assert PROBE in kept
     assert kept.history[-1].dropped == ()
-
-
-def test_the_last_pair_of_an_immersion_is_not_left_out_but_refused(made: RawTest) -> None:
-    columns = dict(made.columns)
-    for rake in "AB":
-        columns[f"P25_{rake}_tip_forward"] = between(900, 990, 4095.0)(
-            made.columns[f"P25_{rake}_tip_forward"].copy()
-        )
-    record, test = dataclasses.replace(made, columns=columns).load()
-    with pytest.raises(
-        InputError, match=rf"channel {PROBE}: .* last tip pair .* clipped in 90 of \d+ rows"
-    ):
-        chosen(record, test)
 
 
 def limited(made: RawTest, low: float, high: float, *names: str) -> tuple[Record, TestDescription]:

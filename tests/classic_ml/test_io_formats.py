@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,6 +16,7 @@ from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test, to_toml
 from stored_records import FORMS
 
+from classic_ml.inspect import draft_test_toml, inspect_file
 from classic_ml.io import read_raw
 from classic_ml.io.formats import open_stored
 from surge_core.errors import InputError
@@ -134,5 +136,9 @@ def test_tdms_waveforms_are_read_by_their_rate(made: RawTest, tmp_path: Path) ->
     with pytest.raises(InputError, match=r'no such column.* clock = "from rate"'):
         read_raw(tmp_path / "raw.tdms", toml)
     toml.write_text(to_toml({**made.description, "file": {"clock": "from rate"}}), "utf-8")
-    record, _ = read_raw(tmp_path / "raw.tdms", toml)
+    record, test = read_raw(tmp_path / "raw.tdms", toml)
     np.testing.assert_array_equal(record["T25_A"], channels["T25_A"])
+    assert "sample_rate_hz = 1000.0" in draft_test_toml(inspect_file(tmp_path / "raw.tdms"))
+    for raw in ("raw.tdms", "raw.csv"):
+        with pytest.raises(InputError, match=r"expected 1200 samples a second, .* found 1000"):
+            read_raw(tmp_path / raw, replace(test, sample_rate_hz=1200.0))
