@@ -20,6 +20,9 @@ from surge_core.types import FloatArray
 
 # Fewer rows than this and the match is worth no more than one noisy reading.
 MINIMUM_NEAR_STALL_ROWS = 20
+# The match moves clean probes by 0.5 % at most. One of a reversed sign is moved by twice what the
+# facility is off the reference, within the noise of a reading.
+MIRRORED, MIRROR_SHARE = 0.02, 0.05
 # What a probe in the wake of its mate reads, over the total pressure, up to sonic flow.
 LEAST_IN_WAKE = 0.5
 
@@ -135,6 +138,10 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
     """
     stated = test.near_stall_shifts
     steady = None if stated else record.part(near_stall_rows(record, test))
+    references_Pa = {
+        p.name: p.zoc_reference_Pa if isinstance(p, CountChannel) else p.reference_Pa or 0.0
+        for p in test.pressures
+    }
 
     def shift_of(name: str, target: float, unit: str) -> float:
         if steady is None:
@@ -143,9 +150,13 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
         if measured is None:
             # Left alone here, it is dropped when the channels are chosen.
             return 0.0
-        if abs(measured - target) > target * (PLAUSIBLE_BIAS if unit == "Pa" else PLAUSIBLE_BIAS_K):
-            raise _other_level(steady, name, measured, target, unit, test)
-        return target - measured
+        off, asked = abs(measured - target), ""
+        mirrored = abs(measured + target - 2.0 * references_Pa.get(name, np.inf))
+        if off > MIRRORED * target and mirrored < MIRROR_SHARE * off:
+            asked = "it is as far on the other side of its reference: is its sign reversed? "
+        elif off <= target * (PLAUSIBLE_BIAS if unit == "Pa" else PLAUSIBLE_BIAS_K):
+            return target - measured
+        raise _other_level(steady, name, measured, target, unit, test, asked)
 
     shifts: dict[str, float] = {}
     parameters: dict[str, str | int | float | bool] = {"match": "pair"}
@@ -197,13 +208,21 @@ def _sound_mean(steady: Record, name: str) -> float | None:
 
 
 def _other_level(
-    steady: Record, name: str, found: float, target: float, unit: str, test: TestDescription
+    steady: Record,
+    name: str,
+    found: float,
+    target: float,
+    unit: str,
+    test: TestDescription,
+    asked: str = "",
 ) -> InputError:
+    of_probe = unit == "Pa"
     return InputError(
         f"{steady.source}: channel {name}",
         expected=f"about {target:g} {unit} at near stall, as {test.source} [near_stall] says",
         found=f"{found:g} {unit}, readings from {np.min(steady[name]):g} to "
         f"{np.max(steady[name]):g}",
-        remedy="check that from_s to to_s end before the surge, and the units of the column and of "
-        "[near_stall]" + (", and the zero and calibrate readings" if unit == "Pa" else ""),
+        remedy=f"{asked}check that from_s to to_s end before the surge, the units of the column "
+        f"and of [near_stall]{', and the zero and calibrate readings' if of_probe else ''}; a dead "
+        f"channel may be left out of test.toml{' with its mate' if of_probe else ''}",
     )
