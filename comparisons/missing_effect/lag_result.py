@@ -223,8 +223,9 @@ class LagDiagnosis(Diagnosis):
         out.append(f"The noise has {size}{', outliers aside' if noise.heavy_tailed else ''}.")
         if noise.flow is not None:
             out.append(
-                f"Noise of {significant(noise.flow_sigma, 2)} rms on φ passes through the lag into "
-                "the errors, so that rows count for less than their number."
+                f"Errors depend on each other as noise of {significant(noise.flow_sigma, 2)} rms "
+                "on φ, which its readings do not exclude, would make them behind the lag, so that "
+                "rows count for less than their number."
             )
         elif noise.coloured:
             lags = ", ".join(f"{a:.2f}" for a in noise.ar)
@@ -300,7 +301,7 @@ class LagDiagnosis(Diagnosis):
             np.where(data.scored(), data.measured, np.nan),
             before,
             after,
-            data.sampled(data.get("phi_averaged", data["phi"])),
+            data.sampled(data.signals.get("phi_averaged", data["phi"])),
             "phi",
             "1",
             data.slices,

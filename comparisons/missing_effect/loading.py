@@ -26,6 +26,7 @@ from comparisons.missing_effect.lag_data import (
     Run,
     laid_out,
 )
+from comparisons.missing_effect.noise import white_part
 from surge_core.errors import require
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
@@ -368,8 +369,7 @@ def smooth_channel(values: FloatArray) -> FloatArray:
     """
     from scipy.signal import savgol_filter
 
-    # Var of the fourth difference of white noise is 70 times that of the noise.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 4)))) / np.sqrt(70.0)
+    noise = white_part(values)
     spread = float(np.ptp(values))
     if spread == 0.0 or noise <= CLEAN_SHARE * spread:
         return values
