@@ -84,6 +84,7 @@ def refitted(
                     found="none of the rows that it acts on",
                 )
             fit = found
+    data = data.with_known(fit.structure.late_s(fit.nonlinear))
     metric = _own_metric(Bench(data, fit, Metric(), block_rows(data), 1))
     # In the order in which they were added, whatever order they were searched in.
     structure = Structure(model.lag.terms, tuple(added.effect for added in model.effects))

@@ -113,6 +113,11 @@ class Structure:
             moved[at] += sign * share * (high - low)
             yield at, share * (high - low), moved
 
+    def late_s(self, nonlinear: FloatArray) -> float:
+        """Return how late φ acts: all amplitudes of effects at the input that are times."""
+        late = [e for e in self.effects if e.port == "input" and e.parameters[0].unit == "s"]
+        return float(sum(self.values_of(e, nonlinear)[0] for e in late))
+
     def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
         """Return the values of one effect out of the vector."""
         own = self.slots[effect.name]

@@ -116,10 +116,6 @@ class LagData:
         """Return a signal on the fine grid."""
         return self.signals[name]
 
-    def get(self, name: str, other: FloatArray) -> FloatArray:
-        """Return a signal on the fine grid, or another where it is not known."""
-        return self.signals.get(name, other)
-
     def __contains__(self, name: object) -> bool:
         """Tell whether a signal is known."""
         return name in self.signals
@@ -210,6 +206,12 @@ class LagData:
         phi = self.signals["phi"][self.rows[self.weight > 0.0]]
         reach = float(phi.min()), float(phi.max())
         return replace(self, references=replace(self.references, phi_range=reach))
+
+    def with_known(self, late_s: float) -> LagData:
+        """Return the rows, those unscored whose φ of so long before lies outside their run."""
+        at = self.steps_of_run[self.rows] - late_s / self.step_s
+        last = np.repeat(self.steps_of_run[self.fine_runs[:, 1] - 1], np.diff(self.runs)[:, 0])
+        return replace(self, weight=self.weight * ((at >= 0.0) & (at <= last)))
 
     def with_measured(self, measured: FloatArray) -> LagData:
         """Return the same inputs with another measured coefficient."""

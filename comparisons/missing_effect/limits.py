@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -76,10 +75,6 @@ class Limit:
         How often it was named in fresh trials at that size.
     why_none : str
         Why there is no limit; empty where there is one.
-    runs : int
-        Workflows that it took.
-    seconds : float
-        And their time.
     """
 
     effect: str
@@ -94,8 +89,6 @@ class Limit:
     check_named: int = 0
     check_trials: int = 0
     why_none: str = ""
-    runs: int = 0
-    seconds: float = 0.0
 
     @property
     def found(self) -> bool:
@@ -132,10 +125,8 @@ class Limits:
         One an effect, in the order of the catalogue.
     share : float
         Share of the trials in which an effect of its limit is named.
-    trials, seed : int
-        Trials a size, and their seed.
-    seconds : float
-        Time that it took.
+    trials : int
+        Trials a size.
     whole_runs : bool
         Whether the records are whole runs, whose twins show the limits without a trial.
     """
@@ -143,8 +134,6 @@ class Limits:
     rows: tuple[Limit, ...]
     share: float
     trials: int
-    seed: int
-    seconds: float
     whole_runs: bool = False
 
     def __getitem__(self, effect: str) -> Limit:
@@ -187,7 +176,6 @@ def planted_limits(
     *,
     effects: Sequence[str] | None = None,
     trials: int = 8,
-    seed: int = 0,
     jobs: int = 1,
     progress: Callable[[Iterable[Limit]], Iterable[Limit]] = iter,
 ) -> Limits:
@@ -207,8 +195,6 @@ def planted_limits(
         In place of the whole catalogue of the diagnosis.
     trials : int
         Trials a size. All sizes meet the same noise, all effects too.
-    seed : int
-        Of the noise.
     jobs : int
         Processes; the limits are the same for any number of them.
     progress : callable
@@ -222,26 +208,24 @@ def planted_limits(
     from joblib import Parallel, delayed
 
     require(min(trials, jobs) >= 1, "trials, jobs", "at least 1", f"{trials}, {jobs}")
-    begin = time.perf_counter()
     known = {effect.name: effect for effect in diagnosis.catalogue}
     for name in effects or ():
         require(name in known, "effects", f"of {', '.join(known)}", repr(name))
     wanted = [known[name] for name in effects or known]
     if diagnosis.whole_runs:
-        return Limits(_of_twins(diagnosis, wanted), 1.0, 0, 0, 0.0, whole_runs=True)
+        return Limits(_of_twins(diagnosis, wanted), 1.0, 0, whole_runs=True)
     drill = _Drill(
         Planter.of(diagnosis),
         diagnosis.before.structure.terms,
         math.ceil(SHARE * trials - 1e-9),
         trials,
-        seed,
         diagnosis.catalogue,
     )
     why = {**diagnosis.unavailable, **dict.fromkeys(diagnosis.names, KNOWN_ALREADY)}
     never = _why_never(diagnosis)
     tasks = (delayed(drill.limit)(effect, why.get(effect.name, never)) for effect in wanted)
     rows = tuple(progress(Parallel(jobs, return_as="generator")(tasks)))
-    return Limits(rows, SHARE, trials, seed, time.perf_counter() - begin)
+    return Limits(rows, SHARE, trials)
 
 
 def _why_never(diagnosis: LagDiagnosis) -> str:
@@ -266,7 +250,6 @@ class _Drill:
     terms: tuple[str, ...]
     needed: int
     trials: int
-    seed: int
     catalogue: tuple[Effect, ...]
 
     def limit(self, effect: Effect, why_none: str) -> Limit:
@@ -276,36 +259,29 @@ class _Drill:
             why_none = why_none or "it is a property of φ, not of the model"
         if why_none:
             return replace(none, why_none=why_none)
-        begin = time.perf_counter()
         first = self._first_size(effect)
         if first is None:
             return replace(none, why_none="these records show no trace of it, however large")
-        size, found, runs = self._accepted_from(effect, first), none, 0
+        size, found = self._accepted_from(effect, first), none
         for attempt in range(ATTEMPTS):
-            size, named, run = self._named_from(effect, size)
-            runs += run
+            size, named = self._named_from(effect, size)
             if named < self.needed:
-                why_none = f"not named up to {size_words(size, none.unit)}"
-                found = replace(none, why_none=why_none)
-                break
+                return replace(none, why_none=f"not named up to {size_words(size, none.unit)}")
             found = self._found(effect, size, named, attempt)
-            runs += found.check_trials
             if found.check_named >= self.needed:
                 break
             # It was named by luck, or larger ones take other names: the limit lies higher.
             size = found.check_size
-        return replace(found, runs=runs, seconds=time.perf_counter() - begin)
+        return found
 
-    def _named_from(self, effect: Effect, size: float) -> tuple[float, int, int]:
-        """Return the size from which on the whole workflow names an effect."""
-        runs = 0
+    def _named_from(self, effect: Effect, size: float) -> tuple[float, int]:
+        """Return the size from which on the whole workflow names an effect, and how often."""
         for _ in range(MOST_GROWTHS):
-            named, run = self._trials(effect, size, self._named)
-            runs += run
+            named = self._trials(effect, size, self._named)
             if named >= self.needed or size >= _largest(effect):
                 break
             size = min(GROWTH * size, _largest(effect))
-        return size, named, runs
+        return size, named
 
     def _found(self, effect: Effect, size: float, named: int, attempt: int) -> Limit:
         others = [p.name for p in effect.nonlinear][0 if effect.linear else 1 :]
@@ -325,7 +301,7 @@ class _Drill:
         )
 
     def _promise(self, effect: Effect, size: float) -> tuple[float, float]:
-        clean = self.planter.planted(effect, size, np.random.default_rng([self.seed, PHASES]))
+        clean = self.planter.planted(effect, size, np.random.default_rng([0, PHASES]))
         return self.planter.promise(clean)
 
     def _first_size(self, effect: Effect) -> float | None:
@@ -365,7 +341,7 @@ class _Drill:
         largest, size = _largest(effect), first
         low, high = 0.0, math.inf
         for _ in range(MOST_STEPS):
-            if self._trials(effect, size, self._accepted)[0] >= self.needed:
+            if self._trials(effect, size, self._accepted) >= self.needed:
                 high, size = size, size / STEP
             else:
                 low, size = size, min(size * STEP, largest)
@@ -375,22 +351,22 @@ class _Drill:
             return low
         for _ in range(HALVINGS if low > 0.0 else 0):
             middle = math.sqrt(low * high)
-            if self._trials(effect, middle, self._accepted)[0] >= self.needed:
+            if self._trials(effect, middle, self._accepted) >= self.needed:
                 high = middle
             else:
                 low = middle
         return high
 
-    def _trials(self, effect: Effect, size: float, test: _Test) -> tuple[int, int]:
-        """Run trials until it is clear whether enough pass; return how many did, of how many."""
+    def _trials(self, effect: Effect, size: float, test: _Test) -> int:
+        """Run trials until it is clear whether enough pass; return how many did."""
         passed = run = 0
         while run < self.trials and run - passed <= self.trials - self.needed:
             passed += test(effect, size, TRIALS, run)
             run += 1
-        return passed, run
+        return passed
 
     def _measured(self, effect: Effect, size: float, kind: int, trial: int) -> LagData:
-        rng = np.random.default_rng([self.seed, kind, trial])
+        rng = np.random.default_rng([0, kind, trial])
         clean = self.planter.planted(effect, size, rng)
         return self.planter.measured(clean, rng)
 

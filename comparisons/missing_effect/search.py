@@ -62,11 +62,7 @@ def search(
         here = moved
         if here.policy.stops_clean and (step.winner.unnamed or not step.leftover.structured):
             break
-    pruned = _pruned(here)
-    if pruned is not here:
-        left = pruned.leftover(None, effects, library)
-        rounds[-1] = replace(rounds[-1], leftover=left)
-    return _refined(pruned, rounds)
+    return _refined(_pruned(here), rounds)
 
 
 def search_round(

@@ -91,7 +91,7 @@ def _asymmetric(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 
 def _flow_lag(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     # Of the measured φ averaged as ψ' was: without cells the same as φ itself.
-    phi = data.get("phi_averaged", ports.phi)
+    phi = data.signals.get("phi_averaged", ports.phi)
     below = _share_below(phi, values[1], data)
     return _with_tau(ports, 1.0 + values[0] * below)
 
@@ -112,7 +112,7 @@ def _share_below(signal: FloatArray, threshold: float, data: LagData) -> FloatAr
 
 
 def _flow_thresholds(data: LagData) -> FloatArray:
-    phi = data.get("phi_averaged", data["phi"])
+    phi = data.signals.get("phi_averaged", data["phi"])
     return np.quantile(phi, THRESHOLD_QUANTILES)[:, None]
 
 

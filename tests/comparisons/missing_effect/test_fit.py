@@ -217,3 +217,7 @@ def test_rows_without_weight_are_simulated_through(plain: tuple[CoefficientTest,
     assert other.tau_s == one.tau_s
     assert np.array_equal(other.coefficients, one.coefficients)
     assert one.tau_s == pytest.approx(test.tau_s, rel=5e-3)
+    # Of a late φ nothing is known before the first row of a run, of an early one behind its last.
+    late, early = (data.with_known(k * data.sample_period_s).weight for k in (2.5, -2.5))
+    assert [late[rows][:4].tolist() for rows in data.slices] == [[0.0, 0.0, 0.0, 1.0]] * 3
+    assert np.array_equal(early, late[::-1])
