@@ -62,6 +62,7 @@ def concluded(
     before = base.on_all_rows(base.fit)
     after = final.on_all_rows(final.fit) if final.found else before
     covariance = covariance_of(after, final)
+    earlier = covariance_of(before, rounds[0].bench) if final.found else covariance
     values = fitted_parameters(after, final, covariance)
     missing = []
     for effect in final.found:
@@ -74,8 +75,6 @@ def concluded(
         evidence |= _correlation(effect, after, covariance)
         names = [c.added[0] for c in members]
         missing.append(missing_effect(effect, numbers, evidence, why, names))
-    first = rounds[0].bench
-    earlier = covariance_of(before, first)
     return LagDiagnosis(
         verdict=verdict_of(missing, otherwise),
         missing=tuple(missing),

@@ -32,8 +32,6 @@ from surge_core.errors import require
 from surge_core.threads import one_thread
 
 MOST_EFFECTS = 3
-# Errors with more memory than this are a drift that no term explains, and not a noise.
-LARGEST_MEMORY = 0.9
 # Weights settle to a tenth of a standard error in three rounds, of six measured.
 WEIGHT_ROUNDS = 3
 BESIDE_A_TERM = "a term without a name had to stand beside it"
@@ -115,7 +113,7 @@ def diagnose_data(
         final = final.in_metric_of(final.fit, final.own_noise)
     if final.found:
         rounds[-1] = replace(rounds[-1], leftover=final.leftover(None, effects, library))
-    found = _concluded(base, final, rounds, sets)
+    found = _concluded(base, final if final.found else base, rounds, sets)
     return replace(found, catalogue=tuple(catalogue), unavailable=unavailable)
 
 
@@ -139,7 +137,7 @@ def _concluded(
     leftover, noise = rounds[-1].leftover, final.own_noise
     beside = any(effect.unnamed for effect in final.found)
     doubts = (*leftover.doubts, *[BESIDE_A_TERM] * beside)
-    diagnosis = concluded(base, final, rounds, sets, _otherwise(leftover, noise), doubts)
+    diagnosis = concluded(base, final, rounds, sets, _otherwise(leftover, noise, final), doubts)
     if not doubts:
         diagnosis = _beside_kin(diagnosis, final)
     diagnosis = _of_instrument(diagnosis, final)
@@ -191,9 +189,12 @@ def _stands_in(kin: Effect, effect: Effect, final: Bench) -> bool:
     return not tried or any(candidate.name == kin.name for candidate in tried)
 
 
-def _otherwise(left: Leftover, noise: NoiseModel) -> str:
-    """Return the verdict where nothing was found."""
-    if left.structured or sum(noise.ar) > LARGEST_MEMORY:
+def _otherwise(left: Leftover, noise: NoiseModel, final: Bench) -> str:
+    """Return the verdict where nothing was found.
+
+    Errors that outlast a block of rows, a surge cycle, are a drift that no term explains.
+    """
+    if left.structured or (1.0 - sum(noise.ar)) * final.block_rows < 1.0:
         return "unexplained_structure"
     if noise.coloured or noise.heavy_tailed:
         return "noise_model_wrong"
