@@ -181,9 +181,11 @@ def _not_believed(comparison: Comparison) -> str:
     elif not (whole or any(record.history for record in comparison.records)):
         why = (
             "a low-pass before the flow equation biases τ, and no ledger of `sindy-surge reduce` "
-            "says whether these signals passed one. If they did not, τ is that of the fits that "
-            "nothing speaks against"
+            "says whether these signals passed one. "
         )
+        sound = any(result.converged and not result.failed for result in results)
+        why += "If they did not, τ is that of the fits that " * sound
+        why += "nothing speaks against" if sound else "Other checks speak against every fit as well"
     elif not whole:
         why = (
             "the series carries no unfiltered run, which `sindy-surge reduce` writes, and a "

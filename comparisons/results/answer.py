@@ -134,7 +134,8 @@ class Answer(Displayed):
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Question and answer, in the order of reading."""
-        refused = "; ".join(text.rstrip(".") for text in self.refused) or "nothing"
+        nothing = "nothing" if math.isfinite(self.time_constant_s) else "τ, for the reason above"
+        refused = "; ".join(text.rstrip(".") for text in self.refused) or nothing
         believed = (self.why, *([self.others] if self.others else ()))
         return (
             ("τ", self.tau_words),

@@ -99,6 +99,11 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
     results = (dataclasses.replace(comparison.results[0], model=held), *comparison.results[1:])
     answer = answer_of(dataclasses.replace(comparison, results=results, quotable=()))
     assert "held, not fitted" in answer.why
+    bare = tuple(dataclasses.replace(each, history=()) for each in comparison.records)
+    for first, said in ((0, "fits that nothing speaks against"), (1, "against every fit as well")):
+        fits = comparison.results[first:]
+        none = dataclasses.replace(comparison, records=bare, results=fits, quotable=())
+        assert said in answer_of(none).why
 
 
 def test_an_error_that_both_have_is_none_of_their_difference() -> None:
