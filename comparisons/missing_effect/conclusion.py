@@ -14,6 +14,7 @@ from comparisons.missing_effect.effect import Effect, FittedParameter, Parameter
 from comparisons.missing_effect.fit import Fit, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
+from comparisons.missing_effect.noise import Metric
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports, n_powers
 from comparisons.missing_effect.quantities import equation_of, label_of, letters_of
@@ -275,9 +276,11 @@ def is_of_stall_alone(effect: Effect, size: FittedParameter, fit: Fit, bench: Be
     stalled = data["in_stall"] if "in_stall" in data else np.asarray(data["phi"] < gate, float)
     outside = data.with_signal("in_stall", 1.0 - stalled)
     columns = effect.acts(Ports.of(data, data["phi"], ()), outside, fit.values_of(effect)).added
-    seen = bench.metric.whitened(columns, data)
+    # In plain errors: colour that was fitted to a tone which goes on would take it away.
+    metric = Metric(bench.own_noise.sigma)
+    seen = metric.whitened(columns, data)
     inverse = np.linalg.pinv(seen.T @ seen)
-    waves = inverse @ (seen.T @ fit.errors(data, bench.metric))
+    waves = inverse @ (seen.T @ fit.errors(data, metric))
     there, error = _size_of_waves(waves, np.sqrt(np.diag(inverse)))
     return bool(size.value - there > LEAST_AMPLITUDE * np.hypot(size.stderr, error))
 

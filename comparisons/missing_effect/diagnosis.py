@@ -190,10 +190,7 @@ def _stands_in(kin: Effect, effect: Effect, final: Bench) -> bool:
 
 
 def _otherwise(left: Leftover, noise: NoiseModel, final: Bench) -> str:
-    """Return the verdict where nothing was found.
-
-    Errors that outlast a block of rows, a surge cycle, are a drift that no term explains.
-    """
+    """Return the verdict where nothing was found: errors that outlast a block are a drift."""
     if left.structured or (1.0 - sum(noise.ar)) * final.block_rows < 1.0:
         return "unexplained_structure"
     if noise.coloured or noise.heavy_tailed:
