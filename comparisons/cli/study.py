@@ -14,7 +14,7 @@ from comparisons.study.design import cells_of
 from comparisons.study.report import render_study_report
 from comparisons.study.run import RESULTS, check_study, run_study
 from comparisons.study.spec import StudySpec, read_spec
-from surge_core.errors import InputError
+from surge_core.errors import require
 from surge_core.files import write_whole
 from surge_core.progress import shown_count
 
@@ -22,8 +22,7 @@ from surge_core.progress import shown_count
 def run(given: argparse.Namespace) -> Iterator[str]:
     """Run every cell of a study, and compare the methods."""
     spec = read_spec(given.spec)
-    if not given.dry_run:
-        check_study(spec, given.out, resume=given.resume)
+    check_study(spec, given.out, resume=given.resume or given.dry_run)
     cells = len(cells_of(spec))
     methods = ", ".join(method.name for method in spec.method)
     points = cells // len(spec.method)
@@ -34,12 +33,9 @@ def run(given: argparse.Namespace) -> Iterator[str]:
     table = run_cells(given, spec)
     reasons = table[table["state"] == "failed"]["reason"].value_counts()
     if reasons.sum() == len(table):
-        raise InputError(
-            str(given.spec),
-            expected="cells that can be fitted",
-            found=f"{len(table)} that failed, {reasons.iloc[0]} of them with: {reasons.index[0]}",
-            remedy=f"{given.out / RESULTS} has the reason of each",
-        )
+        found = f"{len(table)} that failed, {reasons.iloc[0]} of them with: {reasons.index[0]}"
+        remedy = f"{given.out / RESULTS} has the reason of each"
+        require(False, str(given.spec), "cells that can be fitted", found, remedy)
     if len(reasons):
         yield f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons"
     yield ""

@@ -333,5 +333,7 @@ def cell_power_ratio(run: InstabilityRun) -> float:
     )
     stalled = flow < THRESHOLD_LBM_S * LBM_KG
     inside, outside = (apart[run.window & rows] for rows in (stalled, ~stalled))
+    if not (inside.size and outside.size):
+        return math.nan
     power = [float(np.median(np.square(s - np.mean(s)))) for s in (inside, outside)]
     return power[0] / power[1]

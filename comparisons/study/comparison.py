@@ -137,7 +137,7 @@ class GroupComparison(Displayed):
         """Return in one sentence which method is best and how far each is from the reference."""
         label, unit = self.score.loss_label, self.score.unit
         if not self.best:
-            return f"{self.place}: no method has a value of {label}."
+            return f"{self.place}: {self.reference}, the reference, has no value of {label}."
         best = self.row(self.best)
         loss = f"{round_like(best.loss, best.loss_stderr)} {unit}".rstrip()
         others = [
@@ -392,7 +392,7 @@ def _doubts(part: pd.DataFrame, n_pairs: int, n_records: int) -> list[str]:
     if lost < ran and not n_pairs:
         doubts.append("scored on other rows than the reference")
     if lost:
-        doubts.append(f"no score on {lost} of its {ran} cells: survivors only")
+        doubts.append(f"no score on {lost} of its {ran} cells" + ": survivors only" * (lost < ran))
     if n_records < FEWEST_RECORDS:
         doubts.append(f"independent records: {n_records}, fewer than {FEWEST_RECORDS}")
     if bad:

@@ -22,7 +22,7 @@ from comparisons.study.design import Cell, cells_of, tasks_of
 from comparisons.study.scores import NUMBERS
 from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 from comparisons.study.spec import Method, StudySpec
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.files import replace_whole, write_whole
 from surge_core.threads import one_thread
 
@@ -113,13 +113,8 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
         own = OwnMethod(method.import_path, method.name, method.parameters)
         if method.import_path and own.naming() is None:
             own.check()
-    if not resume and (folder / FINISHED).exists():
-        raise InputError(
-            str(folder),
-            expected="a folder without a study",
-            found=FINISHED,
-            remedy="--resume goes on with it; or name another folder",
-        )
+    free, remedy = not (folder / FINISHED).exists(), "--resume goes on; or name another folder"
+    require(resume or free, str(folder), "a folder without a study", FINISHED, remedy)
 
 
 def _finished(file: Path) -> Iterator[Row]:

@@ -25,7 +25,7 @@ from comparisons.rig import CASES, HIDEABLE
 from comparisons.rig.coefficient_effects import EFFECTS, OUTSIDE
 from comparisons.rig.coefficient_tests import NOISES
 from comparisons.study.scores import SCORES
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.models import Table, read_toml, validated
 
 BUILT_IN = ("classic_ml", "sindy", "paper", "classic_ml_arx", "classic_ml_output_error")
@@ -100,8 +100,9 @@ def _axes(name: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1)]
+Degree = Annotated[int, Field(ge=1, le=20)]
 _COEFFICIENTS = {
-    "hide": _or_none(_one_of((*EFFECTS, *OUTSIDE))),
+    "hide": _or_none(_one_of(("none", *EFFECTS, *OUTSIDE))),
     "strength": NotNegative,
     "noise": _one_of(NOISES),
     "noise_percent": NotNegative,
@@ -113,7 +114,7 @@ _COEFFICIENTS = {
 }
 _RIG = {
     "case": _one_of(CASES),
-    "hide": _or_none(_one_of(HIDEABLE)),
+    "hide": _or_none(_one_of(("none", *HIDEABLE))),
     "hide_size": _or_none(float),
     "duration_s": Positive,
     "noise_percent": NotNegative,
@@ -130,7 +131,7 @@ _switches = get_type_hints(ReductionSettings)
 _Reduction: Any = _axes(
     "Reduction", {n: _or_none(kind) for n, kind in _switches.items() if n != "window_s"}
 )
-_Fit: Any = _axes("Fit", {"degree": Count, "hold": Literal["zero", "first"]})
+_Fit: Any = _axes("Fit", {"degree": Degree, "hold": Literal["zero", "first"]})
 
 
 class Random(Table):
@@ -252,15 +253,12 @@ class StudySpec(Table):
         for key, several in (("method", names), ("seeds", self.seeds)):
             if len(set(several)) != len(several):
                 raise InputError(key, expected="each once", found=repr(several))
-        if self.source == "files" and len(self.seeds) > 1:
-            found = f"{len(self.seeds)}"
-            raise InputError("seeds", expected="one, since files are what they are", found=found)
-        if self.source == "coefficients" and self.reduction.model_fields_set:
-            raise InputError(
-                "reduction",
-                expected="it with raw records (record.source = 'rig', 'machines' or 'files')",
-                found="record.source = 'coefficients', which has no counts to reduce",
-            )
+        one = self.source != "files" or len(self.seeds) == 1
+        require(one, "seeds", "one, since files are what they are", f"{len(self.seeds)}")
+        counts = self.source != "coefficients" or not self.reduction.model_fields_set
+        raw = "it with raw records (record.source = 'rig', 'machines' or 'files')"
+        found = "record.source = 'coefficients', which has no counts to reduce"
+        require(counts, "reduction", raw, found)
         points = 1 if self.design is None else self.design.random
         for name, values in self.settings.items() if self.design is None else ():
             if isinstance(values, Range):
@@ -293,7 +291,7 @@ class StudySpec(Table):
         return tuple(n for n, v in self.settings.items() if isinstance(v, Range) or len(v) > 1)
 
 
-def read_spec(path: Path) -> StudySpec:
+def read_spec(path: Path | str) -> StudySpec:
     """Read a study's declaration.
 
     Parameters
@@ -306,7 +304,7 @@ def read_spec(path: Path) -> StudySpec:
     InputError
         Naming the file and all that is wrong in it.
     """
-    return spec_from(read_toml(path, "a study's TOML file"), str(path))
+    return spec_from(read_toml(Path(path), "a study's TOML file"), str(path))
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:

@@ -9,6 +9,7 @@ import pytest
 from commands import refused
 
 from comparisons.cli import main
+from comparisons.study.spec import read_spec
 
 SMALL = """
 title = "small"
@@ -37,6 +38,7 @@ def test_the_command_leaves_table_and_report(
 ) -> None:
     out = tmp_path / "out"
     command = ["study", declared(tmp_path), "--out", str(out), "--jobs", "1"]
+    assert read_spec(command[1]).title == "small"
     assert main([*command, "--dry-run"]) == 0
     assert not out.exists()
     assert main(command) == 0
@@ -66,7 +68,7 @@ def test_a_mistake_is_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, sentence: str
 ) -> None:
     out = tmp_path / "out"
-    assert sentence in refused(capsys, "study", declared(tmp_path, text), "--out", out)
+    assert sentence in refused(capsys, "study", declared(tmp_path, text), "--out", out, "--dry-run")
     assert not out.exists()
 
 

@@ -193,6 +193,10 @@ def test_a_method_without_a_common_record_is_reported_so_and_not_compared() -> N
     assert row.rank is None
     assert np.isnan(row.difference)
     assert group.best == "a"
+    table.loc[where(table, "a"), RMS] = np.nan
+    group = compared(table, reference="a")
+    assert "a, the reference, has no value" in group.lead()
+    assert group.row("a").trust.startswith("no score on 40 of its 40 cells; ")
 
 
 def test_a_method_that_fails_nearly_everywhere_does_not_choose_the_reference() -> None:

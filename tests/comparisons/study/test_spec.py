@@ -109,6 +109,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"method": [{"name": "sindy", "parameters": {"a": 1}}]},
         "with parameters",
     ),
+    "degree too high": ({"fit": {"degree": 99}}, "99"),
     "unknown hold": ({"fit": {"hold": "second"}}, "'zero' or 'first'"),
     "files have no seeds": ({"record": {"source": "files", "path": "a"}, "seeds": 2}, "files"),
     "files without a path": ({"record": {"source": "files"}}, "nothing"),
