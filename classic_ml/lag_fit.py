@@ -9,12 +9,13 @@ import numpy as np
 
 from classic_ml.lag_data import LagData, MovingAverage, Terms
 from classic_ml.likelihood import Profile, profile
-from surge_core.fit_state import FitState
+from surge_core.fit_state import DRIFTING, INTEGRATOR, FitState, holds_lag
 from surge_core.leave_out import (
     BLOCKS,
     block_edges,
     correlation_length,
     leave_out,
+    scatter,
     slow_correlation_length,
 )
 from surge_core.types import FloatArray
@@ -67,6 +68,11 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     moves = np.zeros((len(found), 1))
     moves[:, data.free[:1]] = found[:, : s - data.order]
     curve_moves = found[:, s : s + at.beta.size]
+    if data.held_log_tau is None and state is not FitState.AT_LOWER_BOUND:
+        share = np.exp(at.shape[0] - data.log_tau_bounds[1])
+        stderr = share * np.sqrt(scatter(moves)[0, 0])
+        if not holds_lag(share, stderr, 1.0, DRIFTING if data.drift.size else INTEGRATOR):
+            state = FitState.LAG_UNDETERMINED
     if terms.deficient or _is_deficient(at.normal[s:, s:]):
         state = FitState.RANK_DEFICIENT
     both = np.column_stack([moves, curve_moves @ terms.back.T])
@@ -136,12 +142,8 @@ def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
         at = trial
     if at.decrement <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
-    if data.held_log_tau is None:
-        low, high = data.log_tau_bounds
-        if at.shape[0] <= low + 1e-9:
-            state = FitState.AT_LOWER_BOUND
-        elif at.shape[0] >= high - 1e-9:
-            state = FitState.AT_UPPER_BOUND
+    if data.held_log_tau is None and at.shape[0] <= data.log_tau_bounds[0] + 1e-9:
+        state = FitState.AT_LOWER_BOUND
     return at, state
 
 

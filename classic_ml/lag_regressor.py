@@ -31,16 +31,13 @@ from classic_ml.lag_data import (
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.likelihood import LinearisedFit, linearised
 from surge_core.display import Field, FittedDisplay, Sheet
-from surge_core.errors import InputError, one_of, positive, whole_number
+from surge_core.errors import one_of, positive, require, whole_number
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.leave_out import scatter
 from surge_core.rounding import significant
-from surge_core.segments import runs_of
+from surge_core.segments import is_constant, runs_of
 from surge_core.types import BoolArray, FloatArray
-
-# Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
-NO_RESPONSE = 1e-12
 
 
 class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
@@ -94,7 +91,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     moving_average_ : ndarray of shape (order,)
         Coefficients of C.
     drift_coef_ : ndarray
-        Levels of the drift at its knots above that at the last.
+        Levels of the drift at its knots above that at the last. Its mean over the scored rows is
+        zero: ``coef_`` and the curve hold at the mean level of the record.
     fit_state_ : FitState
         How the fit ended, with advice.
     residual_std_ : float
@@ -173,15 +171,16 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
         data = self._data(y, combined, weight, runs)
-        if data.scored.size <= data.n_parameters(terms.shape[1]):
-            self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
-            return self
-        scored = y[data.weight > 0.0]
-        response = np.ptp(scored) > NO_RESPONSE * np.max(np.abs(scored))
-        if self.time_constant_s is None and not response:
-            self._store_static(y, terms, data, FitState.RANK_DEFICIENT)
-            return self
-        self._store(fit_lag(data, combined), data, combined)
+        found, state = None, FitState.TOO_FEW_ROWS
+        if data.scored.size > data.n_parameters(terms.shape[1]):
+            state = FitState.CONSTANT_SIGNAL
+            if self.time_constant_s is not None or not is_constant(y[data.weight > 0.0, None]):
+                found = fit_lag(data, combined)
+                state = found.state
+        if found is None or state is FitState.LAG_UNDETERMINED:
+            self._store_static(y, terms, data, state)
+        else:
+            self._store(found, data, combined)
         return self
 
     def predict(
@@ -209,9 +208,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if np.isnan(self.time_constant_s_):
             return quasi_steady
         begin = quasi_steady if start is None else np.asarray(start, dtype=np.float64)
-        lag = self._lag()
+        lag, runs = self._lag(), runs_of(segments, quasi_steady.size)
+        known = begin.shape == quasi_steady.shape and np.isfinite(begin[[r.start for r in runs]])
+        words = "one ψ' a row, finite where a segment begins"
+        require(bool(np.all(known)), "start", words, f"an array of shape {begin.shape}")
         free_run = np.empty_like(quasi_steady)
-        for run in runs_of(segments, quasi_steady.size):
+        for run in runs:
             free_run[run] = lag.respond(quasi_steady[run], begin[run.start])
         return free_run
 
@@ -280,7 +282,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """Return the terms s_i, of shape (n, n_terms), at inputs of shape (n, n_features)."""
         if self._is_polynomial:
             return np.vander(X[:, 0], self.degree + 1, increasing=True)
-        return np.asarray(self.basis_.transform(X), dtype=np.float64)
+        terms = self.basis_.transform(X)
+        return np.asarray(terms.toarray() if hasattr(terms, "toarray") else terms, np.float64)
 
     def score(
         self,
@@ -376,12 +379,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self.terms_ = polynomial_names(names[0], self.degree)
             return self.terms_at(X)
         plain = PolynomialFeatures(self.degree)
-        self.basis_ = plain if self.basis is None else clone(self.basis)
-        terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
-        if terms.ndim != 2 or terms.shape[0] != X.shape[0] or not np.all(np.isfinite(terms)):
-            raise InputError(
-                "basis", expected="a finite table with one row a sample", found=f"{terms.shape}"
-            )
+        self.basis_ = (plain if self.basis is None else clone(self.basis)).fit(X)
+        terms = self.terms_at(X)
+        table = terms.ndim == 2 and terms.shape[0] == X.shape[0]
+        found = "NaN or infinite values" if table else f"{terms.shape}"
+        good = table and bool(np.all(np.isfinite(terms)))
+        require(good, "basis", "a finite table with one row a sample", found)
         self.terms_ = term_names(self.basis_, names, terms.shape[1])
         return terms
 

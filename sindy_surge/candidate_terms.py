@@ -214,9 +214,11 @@ class CandidateTerms:
         ``wanted`` are positions of terms; without them it is all, or without ψ' at the same rows
         all that do not hold it. Where ``strict``, a term that is not finite somewhere is refused.
         """
-        # A plain float array: pysindy hands back its own subclass, slow in everything after.
+        # pysindy hands back its own subclass, slow in everything after.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            values = np.array(self._library.transform(X), dtype=np.float64, subok=False)
+            given = self._library.transform(X)
+            given = given.toarray() if hasattr(given, "toarray") else given
+            values = np.array(given, dtype=np.float64, subok=False)
         asked = range(len(self._own_names)) if wanted is None else wanted
         own = [i for i in asked if i < len(self._own_names)]
         bad = np.argwhere(~np.isfinite(values[:, own])) if strict else np.empty((0, 2))

@@ -33,7 +33,7 @@ from sindy_surge.selection import (
     information_penalty,
     select_structure,
 )
-from surge_core.fit_state import FitState
+from surge_core.fit_state import FitState, holds_lag
 from surge_core.types import FloatArray
 
 # Blocks of rows are drawn whole; none is shorter than this many rows.
@@ -86,7 +86,9 @@ class Identified:
         # The error of τ then includes that of the model, and longer segments are no remedy.
         if self.state is FitState.MODEL_ERROR_DOMINATES:
             return self.state
-        if not error < tau or tau > 0.99 * self.problem.longest_lag_s:
+        held = holds_lag(tau, error, self.problem.longest_lag_s)
+        # Coefficients that run away have no errors.
+        if not (held and np.all(np.isfinite(self.form().covariance))):
             return FitState.LAG_UNDETERMINED
         return self.state
 

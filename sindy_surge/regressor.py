@@ -22,9 +22,10 @@ from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
 from sindy_surge.text import EquationParts, ModelSummary, pysindy_equations, write_equation
 from surge_core.display import FittedDisplay, Sheet
-from surge_core.errors import InputError, one_of, positive, whole_number
+from surge_core.errors import one_of, positive, require, whole_number
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
+from surge_core.segments import is_constant
 from surge_core.types import FloatArray
 
 # Equations that a lag with its simplest characteristic (1, φ) needs beside its own unknowns.
@@ -47,7 +48,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     hold : {"first", "zero"}
         "first": φ is sampled from a continuous signal, the terms are joined by straight lines,
         and the fit allows for the bend of a smooth signal between samples. "zero": s_i[k] acts
-        from k to k + 1 (Eq 9-11 of the paper). The wrong one biases τ by 2-3 %.
+        from k to k + 1 (Eq 9-11 of the paper). The wrong one reads as half a sample of dead time.
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
         exponentials over the range of the data, and moves the knot of a chosen hinge where the
@@ -187,7 +188,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if columns.size < 1 or equations < _SPARE_EQUATIONS + 3:
             every = np.arange(values.shape[1])
             self._fit_static(values, y_checked, FitState.TOO_FEW_ROWS, every)
-        elif _is_constant(X_checked) or _is_constant(y_checked[:, None]):
+        elif is_constant(X_checked) or is_constant(y_checked[:, None]):
             state = FitState.CONSTANT_SIGNAL
             self._fit_static(values[:, columns], y_checked, state, columns)
         else:
@@ -212,13 +213,18 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
         self.candidate_terms_ = self._candidates.names
+        self.fit_state_ = found.fit_state()
+        if self.fit_state_ is FitState.LAG_UNDETERMINED:
+            kept = found.model.selected[found.model.selected < self._candidates.n_without_state]
+            kept = kept if kept.size else columns
+            self._fit_static(self._candidates(X)[:, kept], y, self.fit_state_, kept)
+            return
         form = found.form()
         self.terms_, self.coef_ = form.names, form.coefficients
         self.time_constant_s_ = form.time_constant_s
         self._physical = found.written(form)
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
-        self.fit_state_ = found.fit_state()
         self.binding_ = self._binding(problem, choices)
         self.cautions_ = found.cautions(self.fit_state_)
         self.cautions_ += tuple(binding.text for binding in self.binding_)
@@ -284,14 +290,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         inputs = np.asarray(phi, dtype=np.float64)
         if inputs.ndim < 2:
             inputs = inputs.reshape(-1, 1)
-        if inputs.ndim != 2 or inputs.shape[1] != self.n_features_in_:
-            raise InputError(
-                "phi",
-                expected=f"{self.n_features_in_} column(s)",
-                found=f"an array of shape {inputs.shape}",
-            )
-        if inputs.shape[0] == 0:
-            return np.empty(0), np.empty(0)
+        good = inputs.ndim == 2 and inputs.shape[1] == self.n_features_in_
+        found = f"an array of shape {inputs.shape}"
+        require(good, "phi", f"{self.n_features_in_} column(s)", found)
         curve = self._model.at_rest(inputs)
         resting = np.nan_to_num(curve)
         # With terms in ψ' a change of the forcing moves the ψ' at rest by 1/(1 - gain) of it.
@@ -362,10 +363,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         return write_equation(self._parts())
-
-    def print(self) -> None:
-        """Print the equation, as pysindy's models do."""
-        print(self.equation())  # noqa: T201
 
     def equations(self, precision: int = 3) -> list[str]:
         """Write dψ'/dt as pysindy does.
@@ -447,9 +444,3 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         tags = super().__sklearn_tags__()
         tags.regressor_tags.poor_score = True
         return tags
-
-
-def _is_constant(values: FloatArray) -> bool:
-    """Return whether no column (n_rows, n_columns) changes but for rounding."""
-    spread = np.ptp(values, axis=0)
-    return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surge_core.errors import InputError
 from surge_core.leave_out import block_edges
 from surge_core.segments import runs_of
 from surge_core.types import IndexArray
@@ -24,15 +23,6 @@ class Segments:
     @classmethod
     def from_labels(cls, labels: ArrayLike | None, n_rows: int) -> Segments:
         """Cut the rows wherever the integer label changes; without labels they are one segment."""
-        values = np.zeros(n_rows) if labels is None else np.asarray(labels)
-        number = np.issubdtype(values.dtype, np.number)
-        if not (number and np.all(np.isfinite(values)) and np.all(values == np.round(values))):
-            raise InputError(
-                "segments",
-                expected="integer labels",
-                found=f"values of type {values.dtype}",
-                remedy="number the intervals 1, 2, …",
-            )
         runs = runs_of(labels, n_rows)
         return cls(
             np.array([run.start for run in runs], dtype=np.intp),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from surge_core.display import Field, Grid, Sheet
-from surge_core.errors import InputError, whole_number
+from surge_core.errors import require, whole_number
 from surge_core.fit_state import FitState
 from surge_core.rounding import NOT_KNOWN, bracketed, round_like, round_to_error
 from surge_core.terms import pretty_term
@@ -136,13 +136,9 @@ class EquationParts:
 
     def rate_or_refuse(self) -> float:
         """Return τ, or refuse a fit without one where dψ'/dt is asked for."""
-        if not self.time_constant_s > 0:
-            raise InputError(
-                "time constant",
-                expected="a positive one, for dψ'/dt",
-                found="none, for the fit is static",
-                remedy="`characteristic` gives the curve; `fit_state_.advice` says why",
-            )
+        found, remedy = "none, for the fit is static", "`characteristic` gives the curve"
+        positive = self.time_constant_s > 0
+        require(positive, "time constant", "a positive one, for dψ'/dt", found, remedy)
         return self.time_constant_s
 
 

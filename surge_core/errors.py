@@ -17,7 +17,7 @@ def one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
 
 def positive(name: str, value: object) -> None:
     """Refuse a value that is not a positive, finite number."""
-    if not isinstance(value, Real) or not math.isfinite(value) or value <= 0:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < math.inf:
         raise InputError(name, expected="a positive number", found=repr(value))
 
 

@@ -23,9 +23,19 @@ def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
         raise InputError(
             "segments", expected=f"one label for each of {n_rows} rows", found=f"{labels.shape}"
         )
+    number = np.issubdtype(labels.dtype, np.number)
+    if not (number and np.all(np.isfinite(labels)) and np.all(labels == np.round(labels))):
+        found, remedy = f"values of type {labels.dtype}", "number the intervals 1, 2, …"
+        raise InputError("segments", expected="integer labels", found=found, remedy=remedy)
     cuts = np.flatnonzero(labels[1:] != labels[:-1]) + 1
     bounds = [0, *cuts.tolist(), n_rows]
     return [slice(low, high) for low, high in pairwise(bounds)]
+
+
+def is_constant(values: FloatArray) -> bool:
+    """Return whether no column (n_rows, n_columns) changes but for rounding."""
+    spread = np.ptp(values, axis=0)
+    return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))
 
 
 def intervals_where(state: BoolArray) -> IntArray:

@@ -38,13 +38,9 @@ def covered(m: LagRegressor) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(
     ("noise", "on_output", "colour"),
-    [
-        ("arx", False, 0.0),
-        ("armax", False, -0.6),
-        ("output-error", True, 0.0),
-        ("output-error", True, 0.95),
-    ],
-)
+    [("arx", False, 0.0), ("armax", False, -0.6), ("output-error", True, 0.0),
+     ("output-error", True, 0.95)],
+)  # fmt: skip
 def test_intervals_cover_as_often_as_they_say(noise: str, on_output: bool, colour: float) -> None:
     inside, z = [], []
     for seed in range(80):

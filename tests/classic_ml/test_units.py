@@ -124,29 +124,14 @@ def test_a_difference_of_temperatures_or_another_quantity_is_no_temperature(unit
 
 @pytest.mark.parametrize(
     ("stated", "unit", "reference_Pa", "same"),
-    [
-        ("psi", "psia", None, True),
-        ("PSIA", "psi", 0.0, True),
-        ("lbf/in^2", "psia", None, True),
-        ("psig", "psia", None, False),
-        ("psig", "psi", 0.0, False),
-        ("psig", "psi", 101325.0, True),
-        ("psia", "psi", 101325.0, False),
-        ("psia", "psig", 101325.0, False),
-        ("kPa", "psia", None, False),
-        ("hPa", "mbar", 0.0, True),
-        ("V", "psia", None, False),
-        ("counts", "count", None, True),
-        ("1", "count", None, True),
-        ("psi", "count", None, False),
-        ("n/a", "count", None, True),
-        ("counts", "psia", None, False),
-        ("°C", "degC", None, True),
-        ("degF", "degC", None, False),
-        ("ms", "s", None, False),
-        ("sec", "s", None, True),
-    ],
-)
+    [("psi", "psia", None, True), ("PSIA", "psi", 0.0, True), ("lbf/in^2", "psia", None, True),
+     ("psig", "psia", None, False), ("psig", "psi", 0.0, False), ("psig", "psi", 101325.0, True),
+     ("psia", "psi", 101325.0, False), ("psia", "psig", 101325.0, False),
+     ("kPa", "psia", None, False), ("hPa", "mbar", 0.0, True), ("V", "psia", None, False),
+     ("counts", "count", None, True), ("1", "count", None, True), ("psi", "count", None, False),
+     ("n/a", "count", None, True), ("counts", "psia", None, False), ("°C", "degC", None, True),
+     ("degF", "degC", None, False), ("ms", "s", None, False), ("sec", "s", None, True)],
+)  # fmt: skip
 def test_what_a_file_states_is_held_against_what_test_toml_says(
     stated: str, unit: str, reference_Pa: float | None, same: bool
 ) -> None:

@@ -153,23 +153,16 @@ def test_too_little_data_gives_a_static_fit_with_advice() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "where"),
-    [
-        ({"sample_period_s": 0.0}, "sample_period_s"),
-        ({"sample_period_s": "1 ms"}, "sample_period_s"),
-        ({"hold": "second"}, "hold"),
-        ({"optimizer": "lasso"}, "optimizer"),
-        ({"library": 3}, "library"),
-        ({"max_terms": 0}, "max_terms"),
-        ({"n_bootstrap": -1}, "n_bootstrap"),
-    ],
-)
-def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:
+    ("where", "value"),
+    [("sample_period_s", 0.0), ("sample_period_s", "1 ms"), ("hold", "second"),
+     ("optimizer", "lasso"), ("library", 3), ("max_terms", 0), ("n_bootstrap", -1)],
+)  # fmt: skip
+def test_bad_parameters_are_named(where: str, value: object) -> None:
     rng = np.random.default_rng(0)
     phi = rng.uniform(-1, 1, (200, 1))
     psi_p = lag(phi[:, 0], PERIOD_S) + 0.01 * rng.standard_normal(200)
     with pytest.raises(InputError) as caught:
-        SparseLagRegressor(**options).fit(phi, psi_p)
+        SparseLagRegressor(**{where: value}).fit(phi, psi_p)
     assert caught.value.where == where
 
 
@@ -198,6 +191,23 @@ def test_bad_fits_carry_their_advice_among_the_cautions() -> None:
     assert pinned.terms_ == ("1",)
     assert pinned.dead_time_s_ == 0.0
     assert pinned.inclusion_probability_ == {}
+
+
+def test_a_lag_that_the_record_does_not_hold_is_no_number() -> None:
+    # Without a constant, coefficients ran away to 1e14 and the free run was no number.
+    few = {"library": PolynomialLibrary(2, include_bias=False)}
+    for tau_s, noise, options in ((10.0, 5e-4, {}), (TAU_S, 5e-3, few)):
+        rng, t = np.random.default_rng(5), np.arange(2000) * PERIOD_S
+        hz, (a, b, c) = rng.uniform(3, 9), rng.uniform(0, 6.28, 3)
+        fast = 0.14 * np.sin(2 * np.pi * hz * t + a + 1.5 * np.sin(1.2 * np.pi * t + b))
+        phi = 0.15 + fast + 0.02 * np.sin(4.6 * np.pi * hz * t + c)
+        f, pole = 1.15 + 3.0 * phi - 14.0 * phi**2, np.exp(-PERIOD_S / tau_s)
+        y = lfilter([0.0, 1.0 - pole], [1.0, -pole], f, zi=[f[0]])[0]
+        y += noise * rng.standard_normal(2000)
+        model = SparseLagRegressor(PERIOD_S, "zero", n_bootstrap=0, **options).fit(phi[:, None], y)
+        assert model.fit_state_ is FitState.LAG_UNDETERMINED
+        assert np.isnan(model.time_constant_s_)
+        assert np.isfinite(model.score(phi[:, None], y))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
