@@ -208,7 +208,7 @@ def _withheld(
     signals = [rake_signals_of(record) for record in records]
     if any(each is not None and each.hub_minus_tip() is None for each in signals):
         return FitState.ONE_IMMERSION
-    if not known or found.time_constant_stderr_s > LARGEST_SHARE * found.time_constant_s:
+    if not known or not found.time_constant_stderr_s <= LARGEST_SHARE * found.time_constant_s:
         return FitState.UNCERTAIN
     return None
 
