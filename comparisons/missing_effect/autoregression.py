@@ -22,27 +22,36 @@ def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
     Parameters
     ----------
     errors : sequence of ndarray
-        Of each run; not a number where there is none. No equation looks across a longer gap.
+        Of each run; not a number where there is none. No equation looks across a longer gap, unless
+        the readings lie so unevenly that too few follow each other: then, at 0 rows, from reading
+        to reading.
     """
     rows = [np.flatnonzero(~np.isnan(e)) for e in errors]
     steps, counts = np.unique(np.concatenate([np.diff(r) for r in rows]), return_counts=True)
     stride = int(steps[np.argmax(counts)]) if steps.size else 1
+    pieces = [
+        e[piece]
+        for e, there in zip(errors, rows, strict=True)
+        for piece in np.split(there, np.flatnonzero(np.diff(there) != stride) + 1)
+    ]
+    if sum(max(piece.size - MOST_LAGS, 0) for piece in pieces) < ROWS_PER_LAG * MOST_LAGS:
+        stride, pieces = 0, [e[there] for e, there in zip(errors, rows, strict=True)]
     lagged, target = [], []
-    for one, there in zip(errors, rows, strict=True):
-        for piece in np.split(there, np.flatnonzero(np.diff(there) != stride) + 1):
-            e, at = one[piece], np.arange(MOST_LAGS, piece.size)
-            lagged.append(np.column_stack([e[at - back] for back in range(1, MOST_LAGS + 1)]))
-            target.append(e[at])
+    for e in pieces:
+        at = np.arange(MOST_LAGS, e.size)
+        lagged.append(np.column_stack([e[at - back] for back in range(1, MOST_LAGS + 1)]))
+        target.append(e[at])
     return stride, _chosen(np.concatenate(lagged), np.concatenate(target))
 
 
 def _chosen(lagged: FloatArray, target: FloatArray) -> FloatArray:
     """Return the coefficients of the order that the criterion chooses, of rows one, two, … back."""
     n, most_lags = lagged.shape
-    if n < ROWS_PER_LAG * most_lags:
-        return np.zeros(0)
-    best, best_score = np.zeros(0), 0.5 * n * np.log(max(float(target @ target) / n, 1e-300))
-    for order in range(1, most_lags + 1):
+    best, best_score = (
+        np.zeros(0),
+        0.5 * n * np.log(max(float(target @ target) / max(n, 1), 1e-300)),
+    )
+    for order in range(1, min(most_lags, n // ROWS_PER_LAG) + 1):
         a = np.linalg.lstsq(lagged[:, :order], target, rcond=None)[0]
         left = target - lagged[:, :order] @ a
         mean = max(float(left @ left) / n, 1e-300)

@@ -67,6 +67,8 @@ class Leftover:
         coloured; 1 where none is.
     late_p : float
         Chance of how well inputs of earlier rows foretell what is new in each error.
+    idle : bool
+        Whether coloured errors of an output are more than what the model explains of it.
     """
 
     flip_p: float
@@ -77,6 +79,7 @@ class Leftover:
     asked: Mapping[Hashable, str] = field(default_factory=dict)
     new_p: float = 1.0
     late_p: float = 1.0
+    idle: bool = False
 
     @property
     def late(self) -> bool:
@@ -94,7 +97,7 @@ class Leftover:
     @property
     def disturbed(self) -> bool:
         """Whether the errors are so slow that a disturbance, or something missing, is there."""
-        return self.ratio > LARGEST_RATIO
+        return self.ratio > LARGEST_RATIO or self.idle
 
 
 def chance_of(found: float, by_chance: FloatArray) -> float:

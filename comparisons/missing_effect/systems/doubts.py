@@ -274,29 +274,19 @@ def left_words(left: Leftover, named: bool) -> str:
         follows = f": it follows {left.follows} most" if left.follows else ""
         return f"A small part of the error that is left is no chance{follows}."
     lead = "Beyond what was found s" if named else "S"
-    late = (
-        " what the inputs did in earlier rows. Dynamics that are missing do that: a mode, a "
-        "further lag, a pipe."
-    )
-    if left.structured:
-        follows = f"; it follows {left.follows} most" if left.follows else ""
-        share = (
-            f", and inputs and states foretell {100.0 * left.foretold_share:.0f} % of the squared "
-            "held-out error"
-            if left.foretold_share > 0.01
-            else ""
-        )
-        return (
-            f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
-            f"for naming is {significant(left.ratio, 3)} times what is new in each sample{share}"
-            f"{follows}.{' It follows' + late if left.late else ''}"
-        )
-    if left.late:
-        return (
-            f"{lead}omething is missing that nothing here fits: the error on the rows fitted "
-            f"for naming, {significant(left.ratio, 3)} times what is new in each sample, follows"
-            f"{late}"
-        )
+    if left.structured or left.late:
+        facts = []
+        if left.structured and left.foretold_share > 0.01:
+            share = f"{100.0 * left.foretold_share:.0f} % of the squared held-out error"
+            most = f", {left.follows} most" * bool(left.follows)
+            facts.append(f"inputs and states foretell {share}{most}")
+        if left.late:
+            facts.append("what is new in each error follows what the inputs did in earlier rows")
+        if left.ratio >= BARELY or not facts:
+            size = f"{significant(left.ratio, 3)} times what is new in each sample"
+            facts.insert(0, f"the error on the rows fitted for naming is {size}")
+        late = " Dynamics that are missing do that: a mode, a further lag, a pipe." * left.late
+        return f"{lead}omething is missing that nothing here fits: {', and '.join(facts)}.{late}"
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "
         f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
@@ -331,8 +321,6 @@ def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
     """Test what a model leaves for anything that effects, inputs or states still explain."""
-    if bench.fit.failed:
-        return Leftover(1.0, 1.0, 0.0, np.inf)
     rng = np.random.default_rng(0)
     placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
     metric = metric_of(bench.fit.errors)
@@ -350,6 +338,8 @@ def leftover_of(
     p, share, follows, new_p, late_p = 1.0, 0.0, "", 1.0, 1.0
     entered = [run.experiment.columns(model.input_names) for run in (*bench.train, *bench.later)]
     ratios = bench.fit.rms / np.asarray(metric.sigma)
+    # An output of which less is explained than left is not shown to need nothing more.
+    idle = bool(np.any((ratios > COLOURED) & (2.0 * bench.fit.rms**2 > np.square(bench.raw.sigma))))
     for j in range(len(model.outputs)):
         every = [e[:, j] for e in (*bench.fit.errors, *later.errors)]
         late_p = min(late_p, foretold_late(every, entered, rng))
@@ -367,4 +357,4 @@ def leftover_of(
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
     p, new_p, late_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p, late_p))
     follows = follows if p < FOLLOWED_P else ""
-    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p, late_p)
+    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p, late_p, idle)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.autoregression import autoregression
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -16,9 +16,9 @@ class Metric:
     """In which errors are white and of unit variance.
 
     An error that is not a number marks a row without a reading: it is not scored, and no whitened
-    error looks across it. Of each output sigma is the standard deviation of what is new in an
-    error, in its unit, beside the autoregression, which is empty in the raw metric, and the rows
-    from one reading to the next.
+    error looks across it, but where the stride is 0: there from reading to reading. Of each output
+    sigma is the standard deviation of what is new in an error, in its unit, beside the
+    autoregression, which is empty in the raw metric, and its stride in rows.
     """
 
     sigma: tuple[float, ...]
@@ -28,25 +28,28 @@ class Metric:
     @property
     def lost(self) -> int:
         """Rows at the start of a run that have no whitened error."""
-        return max(lags[-1] if lags else 0 for lags in self._lags)
+        strides = self.strides or (1,) * len(self.ar)
+        return max((s or 1) * a.size for a, s in zip(self.ar, strides, strict=True))
 
-    @property
-    def _lags(self) -> list[list[int]]:
-        """Return how many rows each coefficient looks back, one list an output."""
-        strides = self.strides or (1,) * len(self.sigma)
-        return [
-            [stride * lag for lag in range(1, a.size + 1)]
-            for a, stride in zip(self.ar, strides, strict=True)
-        ]
+    def _read(self, there: BoolArray) -> list[tuple[IntArray, BoolArray]]:
+        """Return the rows read of each output, and which have the readings before in their rows."""
+        out = []
+        for own, a, stride in zip(
+            there.T, self.ar, self.strides or (1,) * len(self.ar), strict=True
+        ):
+            rows, k = np.flatnonzero(own), a.size
+            known = np.arange(rows.size) >= k
+            if k and stride:
+                known[k:] &= rows[k:] - rows[:-k] == k * stride
+            known[rows < self.lost] = False
+            out.append((rows, known))
+        return out
 
     def scored(self, errors: FloatArray) -> BoolArray:
         """Return which whitened errors of one run there are, by its errors or readings."""
-        there = ~np.isnan(errors)
-        out = there.copy()
-        for j, lags in enumerate(self._lags):
-            for lag in lags:
-                out[lag:, j] &= there[:-lag, j]
-        out[: self.lost] = False
+        out = np.zeros(errors.shape, dtype=bool)
+        for j, (rows, known) in enumerate(self._read(~np.isnan(errors))):
+            out[rows[known], j] = True
         return out
 
     def whitened(self, errors: FloatArray) -> FloatArray:
@@ -54,20 +57,19 @@ class Metric:
 
         Where a row has no whitened error it is zero; not a number where a run failed.
         """
-        out = np.empty_like(errors)
-        for j, (sigma, ar, lags) in enumerate(zip(self.sigma, self.ar, self._lags, strict=True)):
-            white = errors[:, j].copy()
+        out = np.zeros_like(errors)
+        if not errors.size:
+            return out
+        read = self._read(~np.isnan(errors.reshape(*errors.shape[:2], -1)[:, :, 0]))
+        for j, (sigma, ar, (rows, known)) in enumerate(zip(self.sigma, self.ar, read, strict=True)):
+            own = errors[rows, j]
+            white = own.copy()
             # A run that failed is infinite.
             with np.errstate(invalid="ignore", over="ignore"):
-                for a, lag in zip(ar, lags, strict=True):
-                    white[lag:] -= a * errors[:-lag, j]
-            out[:, j] = white / sigma
-        first = errors.reshape(*errors.shape[:2], -1)[:, :, 0] if errors.size else errors
-        unknown = ~np.isfinite(out)
-        if np.any(unknown):
-            out[unknown] = np.nan
-            out[~self.scored(first)] = 0.0
-        out[: self.lost] = 0.0
+                for lag, a in enumerate(ar, start=1):
+                    white[lag:] -= a * own[:-lag]
+            out[rows[known], j] = white[known] / sigma
+        out[~np.isfinite(out)] = np.nan
         return out
 
     def log_likelihood(self, errors: Sequence[FloatArray], *, known: bool = False) -> float:
