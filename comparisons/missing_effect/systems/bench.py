@@ -16,7 +16,7 @@ from scipy.stats.qmc import Sobol
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, rows_together, runs_of
-from comparisons.missing_effect.systems.simulate import FINE
+from comparisons.missing_effect.systems.simulate import FINE, why_failed
 from comparisons.missing_effect.systems.structure import (
     FIRST_TOLERANCE,
     HALF_SAMPLE,
@@ -25,6 +25,7 @@ from comparisons.missing_effect.systems.structure import (
     Run,
     Structure,
 )
+from surge_core.errors import require
 from surge_core.types import FloatArray
 
 # Steps in a whitening metric, whose valleys are narrow and bent.
@@ -72,12 +73,11 @@ class Bench:
         train, later = _runs(records, between)
         raw = raw_metric([run.outputs for run in train])
         fit = _best_start(structure, train, raw)
-        tolerance = FIRST_TOLERANCE
-        if not fit.failed:
-            # The whitened errors of the model as it is bound the noise from above.
-            noise = np.array(metric_of(fit.errors).sigma)
-            least = TOLERANCE_SHARE * np.min(noise / np.array(raw.sigma))
-            tolerance = float(np.clip(least, LEAST_TOLERANCE, FIRST_TOLERANCE))
+        _require_simulated(fit, train)
+        # The whitened errors of the model as it is bound the noise from above.
+        noise = np.array(metric_of(fit.errors).sigma)
+        least = TOLERANCE_SHARE * np.min(noise / np.array(raw.sigma))
+        tolerance = float(np.clip(least, LEAST_TOLERANCE, FIRST_TOLERANCE))
         finer = replace(structure, tolerance=tolerance)
         return cls(records, train, later, fit).refitted(finer, fit.theta).timed().between_chosen()
 
@@ -266,6 +266,20 @@ class Bench:
                 change, size = change / norm, size + float(np.log(norm))
                 most = max(most, size)
         return most
+
+
+def _require_simulated(fit: Fit, train: Sequence[Run]) -> None:
+    """Refuse a model that cannot be simulated from its starts, with what it comes upon."""
+    model = fit.structure.model
+    at = ", ".join(f"{name} = {p.start:g}" for name, p in model.params.items())
+    for run, path, start in zip(train, fit.paths, fit.starts, strict=True):
+        require(
+            not path.failed,
+            f"model: {'rhs' if model.simulate is None else 'simulate'}",
+            f"a simulation of {run.experiment.name} from the starts ({at})",
+            why_failed(fit.structure, run, fit.theta, start) if path.failed else "",
+            "correct it, or give other starts or bounds",
+        )
 
 
 def _best_start(structure: Structure, train: Sequence[Run], raw: Metric) -> Fit:

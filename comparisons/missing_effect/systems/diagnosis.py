@@ -247,20 +247,18 @@ def _concluded(
         missing = (*missing[:sure], *later)
     # What acts in the training rows as well does not act in a check record alone.
     apart = () if left.structured else checked
-    badly = "" if missing or base.fit.failed else _badly_foretold(base, apart)
-    open_ = not missing and (
-        base.fit.failed
-        or bool(gone)
-        or bool(beyond)
-        or bool(badly)
-        or left.structured
-        or left.late
-        or left.disturbed
+    badly = "" if missing else _badly_foretold(base, apart)
+    left_over = left.structured or left.late or left.disturbed
+    open_ = not missing and (bool(gone) or bool(beyond) or bool(badly) or left_over)
+    parameters = _parameters(records, (before, before_cov), (after, after_cov))
+    training = tuple(
+        _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
+        for r, e in enumerate(records.whole)
     )
     return SystemDiagnosis(
         verdict=verdict_of(missing, "unexplained_structure" if open_ else "nothing_missing"),
         missing=missing,
-        parameters=_parameters(records, (before, before_cov), (after, after_cov)),
+        parameters=parameters,
         unavailable={
             name: why
             for name, why in (rounds[-1].refused if rounds else {}).items()
@@ -268,9 +266,11 @@ def _concluded(
         },
         remarks=(
             *_beyond_words(beyond),
+            *_unknown_words(parameters),
             *_remarks(base, rounds, missing, left, gone, badly),
             *_start_words(model, checks, checked),
             *_refitted_words(checked),
+            *(_worst_words(training) if missing and not after.failed else ()),
         ),
         model=model,
         records=records,
@@ -278,10 +278,7 @@ def _concluded(
         before=before,
         after=after,
         offsets=_offsets(model, after, after_cov),
-        training=tuple(
-            _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
-            for r, e in enumerate(records.whole)
-        ),
+        training=training,
         checks=checked,
         floor=metric.sigma,
     )
@@ -409,6 +406,16 @@ def _beyond_words(beyond: Mapping[str, str]) -> list[str]:
     ]
 
 
+def _unknown_words(parameters: Sequence[ParameterRow]) -> list[str]:
+    unknown = [row.name for row in parameters if np.isinf(row.after_stderr)]
+    if not unknown:
+        return []
+    return [
+        f"These records do not fix {' and '.join(unknown)}: the outputs do not answer to "
+        "such a change, or another number makes up for it. The value is where the search stood."
+    ]
+
+
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
     """Return the parameters by the fits before and after, those of each record one row a record."""
     model, rows = records.model, []
@@ -433,9 +440,12 @@ def _row(name: str, p: P, fitted: Sequence[tuple[float, float]]) -> ParameterRow
 
 
 def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, ...]:
-    at = fit.structure.offsets
-    errors = np.sqrt(np.maximum(np.diag(cov)[at], 0.0)).tolist()
-    each = zip(model.input_names, fit.theta[at].tolist(), errors, strict=True)
+    at, ways = fit.structure.offsets, np.array(fit.structure.ways)
+    values, errors = fit.theta[at], np.sqrt(np.maximum(np.diag(cov)[at], 0.0))
+    # A black box reads its inputs in rows: of one that is held less than a row is no shift.
+    whole = (ways == "held") & (model.simulate is not None)
+    values, errors = np.where(whole, np.ceil(values), values) + 0.0, np.where(whole, 0.0, errors)
+    each = zip(model.input_names, values.tolist(), errors.tolist(), strict=True)
     return tuple(FittedParameter(name, value, error, "samples") for name, value, error in each)
 
 
@@ -503,6 +513,20 @@ def _start_words(model: Model, given: Sequence[Experiment], runs: Sequence[Check
     ]
 
 
+def _worst_words(runs: Sequence[CheckRun]) -> list[str]:
+    """Say which output of a training record goes far more wrong over what is new than of others."""
+    new = [metric_of([run.errors(before=False)]).sigma for run in runs]
+    ratios = np.array([run.after_rms for run in runs]) / np.array(new)
+    worst = [
+        f"{list(runs[r].outputs)[j]} of {runs[r].name}, {ratios[r, j]:.1f} times"
+        for r, j in np.argwhere(ratios > FORETOLD_BADLY * np.median(ratios, axis=0))
+    ]
+    return [
+        "Of the training records one stands out, by its error over what is new in its own samples: "
+        f"{'; '.join(worst)}. What acts there is not found, or a parameter has another value there."
+    ] * bool(worst)
+
+
 def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
     """Say what of the error on check records no fit to other records can know."""
     left = [
@@ -535,20 +559,15 @@ def _remarks(
             f"With {plain_name(placed.label(model))} the model follows the rows fitted and runs "
             "away on others, so that it is not added: what is missing may resemble it."
         )
-    if not base.fit.failed and not gone and (left.structured or left.late or left.disturbed):
+    if not gone and (left.structured or left.late or left.disturbed):
         out.append(left_words(left, bool(missing)))
-    elif not (missing or base.fit.failed) and left.ratio > COLOURED:
+    elif not missing and left.ratio > COLOURED:
         out.append(
             f"The error is {significant(left.ratio, 3)} times what is new in each sample. Noise "
             "that goes on from sample to sample does that, and so does a disturbance that was not "
             "measured: these records do not separate the two."
         )
-    if base.fit.failed:
-        out.append(
-            "The model could not be simulated from its starts, so that nothing can be said of what "
-            "it lacks: give other starts or bounds."
-        )
-    elif badly and not gone:
+    if badly and not gone:
         out.append(
             f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
             "simulated, and nothing fitted explains it: what is missing acts there alone, or a "

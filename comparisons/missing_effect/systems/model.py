@@ -69,7 +69,7 @@ class Model(Displayed):
         check part best.
     x0 : mapping of str to float, (float, float) or "first"
         What is known of the state at the start of a record: a value, a value with its standard
-        deviation, or the first sample of the output of that name. The start is always estimated.
+        deviation, or the first sample of the output that reads it. The start is always estimated.
     balance : mapping of str to (str, str)
         ``{"v": ("M", "N")}`` says that the equation of v is M dv/dt = a sum of forces in N, so
         that effects in it are given in N.
@@ -385,8 +385,8 @@ def _check_params(model: Model) -> None:
 
 def _check_options(model: Model) -> None:
     known = f"states out of {', '.join(model.states)}"
-    for part, names in (("exact", model.exact), ("x0", tuple(model.x0))):
-        for name in names:
+    for part in ("exact", "x0", "balance"):
+        for name in getattr(model, part):
             _require(name in model.states, part, known, f"{name!r}")
     choices, between = get_args(BetweenSamples), model.input_between_samples
     _require(between in choices, "input_between_samples", ", ".join(choices), f"{between!r}")
@@ -398,7 +398,7 @@ def _check_options(model: Model) -> None:
     for name, entry in model.balance.items():
         good = isinstance(entry, tuple) and len(entry) == 2 and entry[0] in model.params
         expected = "{state: (parameter, unit of the sum)}"
-        _require(good and name in model.states, f"balance: {name}", expected, f"{entry!r}")
+        _require(good, f"balance: {name}", expected, f"{entry!r}")
 
 
 def _check_functions(model: Model) -> None:

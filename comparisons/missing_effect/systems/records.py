@@ -184,6 +184,8 @@ def _known_start(
 
 
 def _first_reading(experiment: Experiment, name: str) -> float:
+    expected = f"an output that reads it, for the start of {name} as 'first'"
+    require(name in experiment.channels, "model: x0", expected, "none")
     values = experiment.channels[name]
     return float(values[np.isfinite(values)][0])
 

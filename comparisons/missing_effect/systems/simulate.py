@@ -22,7 +22,7 @@ from comparisons.missing_effect.systems.places import AT_INPUTS, AT_OUTPUTS, Pla
 from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure, laid
-from surge_core.errors import require
+from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
 # Points a sample on which a run is kept.
@@ -98,6 +98,24 @@ def black_box_path(structure: Structure, run: Run, theta: FloatArray, start: Flo
     outputs = structure.recorded(whole, theta)[-run.n_samples :]
     failed = not np.all(np.abs(outputs) < LARGEST)
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
+
+
+def why_failed(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> str:
+    """Return what a run that cannot be simulated comes upon."""
+    model, n = structure.model, run.n_samples
+    inputs, p = run.experiment.columns(model.input_names), tuple(theta[: len(model.params)])
+    try:
+        if model.simulate is not None:
+            _, u, params = model.groups(tuple(start), tuple(inputs.T), p)
+            model.simulate(run.sample_period_s * np.arange(n, dtype=np.float64), u, params)
+            return "outputs that are no finite numbers"
+        slopes, _ = model.evaluate(0.0, tuple(start), tuple(inputs[0]), p)
+    except FAILURES as error:
+        return f"{type(error).__name__}: {error}"
+    bad = [name for name, slope in zip(model.states, slopes, strict=True) if not np.isfinite(slope)]
+    given = zip((*model.states, *model.inputs), (*start, *inputs[0]), strict=True)
+    at = ", ".join(f"{name} = {value:.3g}" for name, value in given)
+    return f"no finite d{bad[0]}/dt at {at}" if bad else "a run that grows beyond all bounds"
 
 
 def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
@@ -276,6 +294,11 @@ def _simulated(
         found: Any = model.simulate(t, u, params)
     except FAILURES:
         return np.full(shape, np.nan)
+    except Exception as error:
+        raised = f"{type(error).__name__}: {error}"
+        raise InputError(
+            "model: simulate", expected="outputs for (t, u, p)", found=raised
+        ) from error
     if isinstance(found, tuple):
         found = np.column_stack(found)
     values = np.asarray(found, dtype=np.float64)

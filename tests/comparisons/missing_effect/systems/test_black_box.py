@@ -151,8 +151,33 @@ def test_a_black_box_that_fails_loses_and_one_of_another_shape_is_refused() -> N
     theta = structure.start()
     theta[1] = 0.5
     assert path_of(structure, run, theta, np.zeros(0), np.zeros(0)).failed
-    short = Model.from_simulate(
-        lambda t, u, p: t[:10], make.circuit().inputs, make.circuit().outputs, model.params
+
+    def refused(simulate: Any, words: str) -> None:
+        model = Model.from_simulate(
+            simulate, make.circuit().inputs, make.circuit().outputs, make.circuit().params
+        )
+        with pytest.raises(InputError, match="model: simulate: expected " + words):
+            diagnose_model(model, make.experiment("circuit", truth.circuit(3, 200)))
+
+    refused(lambda t, u, p: t[:10], r"outputs of shape \(133, 1\)")
+    refused(lambda t, u, p: u.w, "outputs for .*AttributeError: .* 'w'")
+    refused(lambda t, u, p: t * np.nan, r"a simulation of record from the starts \(.*no finite")
+    refused(lambda t, u, p: 1 // 0, "a simulation .* found ZeroDivisionError")
+
+
+def test_a_model_that_explains_nothing_is_not_called_complete() -> None:
+    """A static model of an oscillator, at few rows; its held input is no part of a row late."""
+    made = truth.body(5, 150)
+    rng = np.random.default_rng(0)
+    made["F"] = np.repeat(rng.choice([-20.0, 20.0], 30), 5)
+    made["q"] = np.where(rng.random(150) < 0.6, made["q"], np.nan)
+    model = Model.from_simulate(
+        lambda t, u, p: u.F / p.k,
+        {"F": "N"},
+        {"q": "m"},
+        {"k": P(80.0, 1.0, 300.0), "idle": P(1.0, 0.0, 2.0)},
     )
-    with pytest.raises(InputError, match=r"model: simulate: expected outputs of shape \(200, 1\)"):
-        path_of(Structure(short), run, theta, np.zeros(0), np.zeros(0))
+    found = diagnose_model(model, make.experiment("body", made), most_effects=0)
+    assert found.verdict == "unexplained_structure"
+    assert any("do not fix idle" in words for words in found.remarks)
+    assert found.offsets[0].value in (-1.0, 0.0, 1.0)

@@ -54,7 +54,10 @@ BAD_MODELS: dict[str, tuple[dict[str, Any], str]] = {
         "model: input_between_samples: .*held.*'spline'",
     ),
     "start that is neither": ({"x0": {"q": "last"}}, "model: x0: q: .*'first'.*'last'"),
-    "balance of a state that is none": ({"balance": {"w": ("M", "N")}}, "model: balance: w"),
+    "balance of a state that is none": (
+        {"balance": {"w": ("M", "N")}},
+        "model: balance: .*found 'w'",
+    ),
     "right-hand side that is one short": (
         {"rhs": lambda t, x, u, p: x.v},
         r"model: rhs: expected 2 numbers \(q, v\), found 1",
