@@ -36,21 +36,22 @@ def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
     ]
     if sum(max(piece.size - MOST_LAGS, 0) for piece in pieces) < ROWS_PER_LAG * MOST_LAGS:
         stride, pieces = 0, [e[there] for e, there in zip(errors, rows, strict=True)]
-    lagged, target = [], []
-    for e in pieces:
-        at = np.arange(MOST_LAGS, e.size)
-        lagged.append(np.column_stack([e[at - back] for back in range(1, MOST_LAGS + 1)]))
-        target.append(e[at])
-    return stride, _chosen(np.concatenate(lagged), np.concatenate(target))
+    back = range(MOST_LAGS + 1)
+    rows = [
+        np.column_stack([e[MOST_LAGS - k : e.size - k] for k in back])
+        for e in pieces
+        if e.size > MOST_LAGS
+    ]
+    joined = np.concatenate([np.zeros((0, MOST_LAGS + 1)), *rows])
+    return stride, _chosen(joined[:, 1:], joined[:, 0])
 
 
 def _chosen(lagged: FloatArray, target: FloatArray) -> FloatArray:
     """Return the coefficients of the order that the criterion chooses, of rows one, two, … back."""
     n, most_lags = lagged.shape
-    best, best_score = (
-        np.zeros(0),
-        0.5 * n * np.log(max(float(target @ target) / max(n, 1), 1e-300)),
-    )
+    if n < ROWS_PER_LAG:
+        return np.zeros(0)
+    best, best_score = np.zeros(0), 0.5 * n * np.log(max(float(target @ target) / n, 1e-300))
     for order in range(1, min(most_lags, n // ROWS_PER_LAG) + 1):
         a = np.linalg.lstsq(lagged[:, :order], target, rcond=None)[0]
         left = target - lagged[:, :order] @ a
