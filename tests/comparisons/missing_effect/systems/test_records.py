@@ -195,9 +195,7 @@ def test_no_whitened_error_looks_across_a_gap() -> None:
     assert slower.ar[0][0] == pytest.approx(0.9, abs=0.05)
     left = slower.whitened(slow)[slower.scored(slow)]
     assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.1
-    # Uneven: those before foretell 0.68 of the variance.
-    uneven = errors[:250].copy()
-    uneven[np.random.default_rng(5).random(250) < 0.5] = np.nan
+    uneven = np.where(np.random.default_rng(5).random((250, 1)) < 0.5, np.nan, errors[:250])
     assert metric_of([uneven]).strides == (0,)
     assert metric_of([uneven]).sigma[0] == pytest.approx(np.sqrt(0.32), rel=0.15)
 
