@@ -247,14 +247,16 @@ def fitted_library(
         with np.errstate(all="ignore"):
             fitted = copy.deepcopy(library).fit(X)
             n_terms = np.shape(fitted.transform(X[:1]))[1]
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        # Derivatives and integrals over rows look for more of them than one.
+        derived = isinstance(error, IndexError)
         raise InputError(
             "library",
-            expected="a pysindy feature library or a scikit-learn transformer that takes the "
-            "inputs",
+            expected="a pysindy feature library or a scikit-learn transformer, its terms functions "
+            "of one row",
             found=f"{type(library).__name__}: {error}",
             remedy="a function in it must be written in Python, as lambda x: np.sin(x)"
-            if hasattr(library, "fit") and not isinstance(library, type)
+            if hasattr(library, "fit") and not (isinstance(library, type) or derived)
             else "pass PolynomialLibrary(degree=3), for one",
         ) from error
     if hasattr(fitted, "get_feature_names"):

@@ -126,9 +126,9 @@ class FitState(StrEnum):
     )
     COARSE_ROWS = (
         "coarse_rows",
-        "between two rows the states or the inputs bend more than can be followed: coefficients "
-        "may be off by more than their errors say, and needless terms may make up for it; sample "
-        "faster",
+        "between two rows the states or the inputs bend more than can be followed, or the record "
+        "does not show whether an input is held there: coefficients may be off by more than their "
+        "errors say, and needless terms may make up for it; sample faster",
     )
     LIBRARY_TOO_SMALL = (
         "library_too_small",

@@ -82,8 +82,8 @@ class Collocation:
     def fit(self, support: IndexArray, near: Fit, ridge: FloatArray | None = None) -> Fit:
         """Fit some terms, from the coefficients, states and inputs of a fit nearby.
 
-        The support are columns of Ξ flattened by state, state * n_terms + term; a ridge, one a
-        column, is added to the diagonal of H.
+        The support are columns of Ξ flattened by state, state * n_terms + term; rows of a ridge are
+        added below those of the regression.
         """
         x, u, n_terms = near.x, near.u, near.xi.shape[0]
         place = support % n_terms, support // n_terms
@@ -95,15 +95,13 @@ class Collocation:
         for _ in range(_MOST_STEPS):
             try:
                 white = about.whitened(support)
+                columns = white.columns if ridge is None else np.vstack((white.columns, ridge))
+                best, inverse = _least_squares(columns, white.target)
             except (LinAlgError, ValueError):
                 return Fit(xi, x, u, np.inf, inverse, False)
-            H = white.columns.T @ white.columns
-            H += np.diag(ridge) if ridge is not None else 0.0
-            inverse = _inverse(H)
             new = np.zeros_like(xi)
-            new[place] = inverse @ (white.columns.T @ white.target)
-            move = new[place] - xi[place]
-            moved = float(move @ H @ move)
+            new[place] = best
+            moved = float(np.sum((columns @ (best - xi[place])) ** 2))
             x_next, u_next, chi2 = about.states(white, new[place])
             share = 1.0
             for _ in range(_HALVINGS):
@@ -159,8 +157,8 @@ class Collocation:
         white = about.whitened(every)
         own = white.columns[:, np.isin(every, support)]
         columns = np.column_stack((about.late_column(white), own))
-        inverse = _inverse(columns.T @ columns)
-        return float((inverse @ (columns.T @ white.target))[0]), inverse
+        best, inverse = _least_squares(columns, white.target)
+        return float(best[0]), inverse
 
     def deviance(self, fit: Fit) -> float:
         """Return -2 log of the likelihood of the defects about a fit, the size of all noise free.
@@ -217,7 +215,7 @@ class _About:
             f, f_e = self.theta @ total, self.theta_e @ total
             middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f - f_e)
             self.middle = middle
-            self.theta_m = features.values(middle, data.middle_inputs)
+            self.theta_m = features.values(middle, data.inputs_at(0.5))
             f_m = self.theta_m @ total
             r = x[1:] - x[:-1] - h / 6.0 * (f + 4.0 * f_m + f_e)
             self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
@@ -236,7 +234,7 @@ class _About:
         problem, data, slopes = self.problem, self.data, self.slopes
         J = slopes(self.x, data.u)
         J, J_e = J[:-1], slopes(self.x[1:], data.end_inputs) if problem.held else J[1:]
-        J_m = slopes(self.middle, data.middle_inputs)
+        J_m = slopes(self.middle, data.inputs_at(0.5))
         h = self.h[:, :, None]
         eye = np.eye(self.x.shape[1])
         before = -eye - h / 6.0 * (J + 4.0 * J_m @ (0.5 * eye + h / 8.0 * J))
@@ -259,8 +257,8 @@ class _About:
         held = data.held[self.noisy]
         J = self.slopes(self.x[:-1], data.u[:-1], by)
         J_e = self.slopes(self.x[1:], data.end_inputs, by)
-        J_m = 4.0 * self.slopes(self.middle, data.middle_inputs, by)
-        bend = h / 2.0 * self.slopes(self.middle, data.middle_inputs)
+        J_m = 4.0 * self.slopes(self.middle, data.inputs_at(0.5), by)
+        bend = h / 2.0 * self.slopes(self.middle, data.inputs_at(0.5))
         ends = J_e - bend @ J_e
         before = J + bend @ J + np.where(held, J_m + ends, 0.5 * J_m)
         return -h / 6.0 * before, -h / 6.0 * np.where(held, 0.0, 0.5 * J_m + ends)
@@ -397,7 +395,14 @@ def _solved(factor: FloatArray, columns: FloatArray, *, transposed: bool = False
     return np.asarray(solved.reshape(columns.shape))
 
 
-def _inverse(H: FloatArray) -> FloatArray:
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    inverse = np.linalg.pinv(H / np.outer(size, size), hermitian=True)
-    return np.asarray(inverse / np.outer(size, size))
+def _least_squares(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the solution, its target padded by zeros, and its covariance.
+
+    Not by the normal equations: of states at 300 with a spread of 2 they leave four digits.
+    """
+    n, size = columns.shape[1], np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
+    padded = np.pad(target, (0, len(columns) - target.size))
+    scaled = np.column_stack((columns / size, padded))
+    triangle: FloatArray = np.asarray(np.linalg.qr(scaled, mode="r"))
+    back = np.linalg.pinv(triangle[:n, :n], rcond=1e-12) / size[:, None]
+    return back @ triangle[:n, n], back @ back.T

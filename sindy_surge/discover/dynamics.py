@@ -44,9 +44,9 @@ class SparseDynamics(BaseEstimator):
 
     All states are taken as measured with white noise of unknown size. States and coefficients are
     estimated together (errors in variables); the terms are those of the best extended BIC. An input
-    runs smoothly through its rows or is held from each to the next, whichever leaves less. One
-    whose own rows show white noise is estimated as the states are, unless the record is clearly
-    likelier with it exact (not with ``search="optimizer"``).
+    runs smoothly through its rows, but for jumps, or is held from each to the next where that is
+    clearly likelier. One whose own rows show white noise is estimated as the states are, unless the
+    record is clearly likelier with it exact (not with ``search="optimizer"``).
 
     Parameters
     ----------
@@ -343,7 +343,6 @@ class SparseDynamics(BaseEstimator):
         n_states, n_inputs = data.y.shape[1], data.u.shape[1]
         default = [f"x{i}" for i in range(n_states)] + [f"u{i}" for i in range(n_inputs)]
         named = list(default if names is None else names)
-        named += default[len(named) :] if len(named) == n_states else []
         check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
         states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
@@ -455,7 +454,6 @@ class SparseDynamics(BaseEstimator):
         named = zip(self.input_names_, problem.data.held, strict=True)
         self.held_inputs_ = tuple(name for name, held in named if held)
         self.late_ = late
-        self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
         self._bound = np.max(np.abs(problem.data.y), axis=0)
         self.candidate_terms_ = features.names
         self.coef_ = (best.fit.xi + problem.known).T

@@ -9,7 +9,7 @@ from scipy.stats import chi2, norm
 
 from sindy_surge.discover.collocation import Fit
 from sindy_surge.discover.equations import Rival
-from sindy_surge.discover.levels import Level, pays_beyond
+from sindy_surge.discover.levels import HELD, Level, other_inputs, pays_beyond
 from sindy_surge.discover.trajectories import LEAST_NOISE
 from sindy_surge.search import Tried
 from sindy_surge.segments import Segments
@@ -61,7 +61,8 @@ def ended(
         FitState.SHORT_RUNS_ONLY: problem.rows is not None,
         # By more than a standard error each, in the mean square.
         FitState.COARSE_ROWS: problem.rule_moves(best.support, best.fit, _OTHER_DEGREE)
-        > len(best.support),
+        > len(best.support)
+        or _depends_on_inputs(level, best),
         FitState.COLOURED_REST: np.any(coloured),
         FitState.ODD_ROWS: any(map(np.any, far)),
         FitState.READ_LATE: late,
@@ -74,6 +75,17 @@ def ended(
         beyond = pays_beyond(level, best, columns)
     too_small = bool(beyond) and state not in COLOURED
     return FitState.LIBRARY_TOO_SMALL if too_small else state, beyond
+
+
+def _depends_on_inputs(level: Level, best: Tried[Fit]) -> bool:
+    """Tell whether inputs held that were smooth, as likely, give other coefficients."""
+    errors = np.sqrt(np.diag(best.fit.covariance))
+    places = np.array(best.support, dtype=np.intp)
+    return any(
+        gain > -HELD and np.any(np.abs((fit.xi - best.fit.xi).T.ravel()[places]) > errors)
+        for gain, _, fit, own in other_inputs([level], best)
+        if own.data.runs is level.likelihood.data.runs
+    )
 
 
 def _coloured(left: FloatArray, runs: Segments) -> BoolArray:

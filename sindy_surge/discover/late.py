@@ -166,8 +166,9 @@ def _moved(
         near = replace(tried.fit, x=readings + moved.y - data.y)
         problem = replace(level.likelihood, data=moved)
         (last, *_), again = searched(problem, rates, given, optimizer, near, full=True)
-        held = replace(moved, held=last.likelihood.data.held)
-        own = Level(replace(problem, data=held, late=late.states), level.equations, level.price)
+        same = last.likelihood.data
+        laid = replace(moved, held=same.held, runs=same.runs)
+        own = Level(replace(problem, data=laid, late=late.states), level.equations, level.price)
         tried = own.try_support(again.support, again.fit, again.by)
         if not np.isfinite(tried.score):
             return None

@@ -312,17 +312,21 @@ class Trajectories:
         return self._between[share, degree]
 
     @cached_property
-    def middle_inputs(self) -> FloatArray:
-        """Return the inputs half-way between rows (n_rows - 1, n_inputs), smooth ones by cubics."""
-        u, joined = self.u, self.within()
-        linear = 0.5 * (self.end_inputs + u[:-1])
-        if u.shape[0] < 4 or not u.shape[1]:
-            return linear
-        cubic = linear.copy()
-        cubic[1:-1] = (9.0 * (u[1:-2] + u[2:-1]) - (u[:-3] + u[3:])) / 16.0
-        inner = np.zeros(joined.size, dtype=bool)
-        inner[1:-1] = joined[:-2] & joined[1:-1] & joined[2:]
-        return np.where(inner[:, None] & ~self.held, cubic, linear)
+    def cut_at_jumps(self) -> Trajectories:
+        """Return them cut where an input jumps, for its splines ring there.
+
+        When it jumps between two rows they do not say either. Jumps whose parts would be too short
+        stay.
+        """
+        moves, cuts = np.abs(np.diff(self.u, axis=0)), self.runs.starts.tolist()
+        # By how much a move is larger than those beside it.
+        more = moves[1:-1] - np.maximum(moves[:-2], moves[2:])
+        usual = _usual(np.maximum(more, 0.0), self.u)
+        for row in (np.flatnonzero(np.any(more > _SPIKE * usual, axis=1)) + 2).tolist():
+            if np.min(np.abs([each - row for each in (*cuts, len(self.u))])) >= _FEWEST_ROWS:
+                cuts.append(row)
+        starts = np.array(sorted(cuts), dtype=np.intp)
+        return replace(self, runs=Segments(starts, np.append(starts[1:], len(self.u))))
 
 
 def _several(values: Any) -> bool:
@@ -358,12 +362,19 @@ def listed(name: str, values: Any) -> list[FloatArray]:
         raise InputError(
             name,
             expected="finite numbers of shape (n_rows, n_columns), or a list of such arrays",
-            found=str(error),
+            found=str(error).partition("\n")[0],
             remedy="cut the record at a gap and pass the parts as trajectories"
             if "contains" in str(error)
             else "pass numbers, a row for each time",
         ) from error
     return [np.reshape(each, (len(each), -1)) for each in arrays]
+
+
+def _usual(size: FloatArray, x: FloatArray) -> FloatArray:
+    """Return what one in a hundred of the sizes of changes of columns exceeds."""
+    # The three that a spike itself leaves are set aside; less than a step of the readings is none.
+    step = [np.min(np.diff(np.unique(column)), initial=np.inf) for column in x.T]
+    return np.asarray(np.maximum(np.sort(size, axis=0)[-4 - len(size) // 100], step))
 
 
 def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
@@ -375,10 +386,7 @@ def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
     if len(bent) < _FEWEST_ROWS:
         return
     size = np.abs(bent)
-    # The three that a spike itself leaves are set aside; less than a step of the readings is none.
-    usual = np.sort(size, axis=0)[-4 - len(size) // 100]
-    step = [np.min(np.diff(np.unique(column)), initial=np.inf) for column in x.T]
-    far = size[1:-1] > _SPIKE * np.maximum(usual, step)
+    far = size[1:-1] > _SPIKE * _usual(size, x)
     for beside in (bent[:-2], bent[2:]):
         far &= (beside * bent[1:-1] < 0.0) & (np.abs(beside) > 0.25 * size[1:-1])
     rows, columns = np.nonzero(far)

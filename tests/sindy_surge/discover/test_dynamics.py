@@ -6,6 +6,7 @@ import numpy as np
 import pysindy as ps
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -96,10 +97,13 @@ def test_a_useless_optimizer_alone_gives_a_useless_model():
     assert (good.terms_, good.state_.code) == (full.terms_, "proposed")
 
 
-def test_units_and_order_of_the_states_change_nothing_else(models):
-    turned = [x[:, ::-1] * [1e-2, 1e5] for x in van_der_pol(np.random.default_rng(2))[0]]
-    model = SparseDynamics().fit(turned, [STEP_S, STEP_S], None, ["y", "x"])
-    assert [set(terms) for terms in model.terms_] == [{"x", "y", "y x^2"}, {"y"}]
+def test_units_and_order_and_level_of_the_states_change_nothing_else(models):
+    for level, more in ((300.0, {"1", "y x"}), (0.0, set())):
+        x = [each + np.array((level, 0.0)) for each in van_der_pol(np.random.default_rng(2))[0]]
+        turned = [each[:, ::-1] * [1e-2, 1e5] for each in x]
+        model = SparseDynamics().fit(turned, [STEP_S, STEP_S], None, ["y", "x"])
+        assert [set(terms) for terms in model.terms_] == [{"x", "y", "y x^2"} | more, {"y"}]
+        assert model.state_.code == "ok"
     # dy/dt = … -2 x² y: its coefficient goes with 1/x².
     found = {term.name: term.coefficient for term in model.equation_terms_[0]}
     plain = {term.name: term.coefficient for term in models[2].equation_terms_[1]}
@@ -136,6 +140,25 @@ def test_an_input_that_is_held_between_rows_in_steps_as_long_as_a_segment():
     model = SparseDynamics().fit(run + 0.02 * run.std() * rng.standard_normal(1500), t, u=u)
     assert (model.held_inputs_, model.equations(1)) == (("u0",), ["-0.7 x0 + 0.5 u0"])
     assert np.abs(model.simulate([0.0], t, u)[:, 0] - run).max() < 0.05 * run.std()
+
+
+@pytest.mark.parametrize(
+    ("held", "noise", "code"),
+    [(True, 0.05, "ok"), (False, 0.02, "ok"), (False, 0.05, "coarse_rows")],
+)
+def test_an_input_on_a_ramp_that_jumps_is_held_or_smooth_or_undecided(held, noise, code):
+    """On a ramp that is half a row, and 8 errors of a coefficient, which much noise hides."""
+    x, M, u = np.zeros((600, 2)), np.zeros((4, 4)), np.clip(np.arange(-50, 550) / 150, 0, 1)
+    M[:2, :3], M[2, 3] = [[-0.024, 0.02, 0.32], [0.04, -0.052, 0]], 1
+    more, u = np.diff(u) * (not held), u + 0.375 * (np.arange(600) >= 350)
+    for k in range(599):
+        x[k + 1] = (expm(M) @ [*x[k], u[k], more[k]])[:2]
+    y = np.random.default_rng(0).normal(x, noise)
+    model = SparseDynamics(ps.PolynomialLibrary(1)).fit(y, 2.0, u)
+    assert (model.state_.code, bool(model.held_inputs_)) == (code, held)
+    found = [(t.coefficient, t.stderr) for t in model.equation_terms_[0]]
+    true = (-0.012, 0.01, 0.16)
+    assert all(abs(c - t) < 2 * s for (c, s), t in zip(found, true, strict=True))
 
 
 def test_noise_of_an_exact_input_does_not_stand_for_a_law_that_the_library_lacks():
@@ -271,6 +294,7 @@ def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
     ("options", "where"),
     [
         ({"library": ps.CustomLibrary([np.sin])}, "library"),
+        ({"library": ps.PDELibrary(ps.PolynomialLibrary(2), 1, np.arange(1000))}, "library"),
         ({"optimizer": ps.FiniteDifference()}, "optimizer"),
         ({"optimizer": ps.STLSQ}, "optimizer"),
         ({"known": {"x": {"x": np.nan}}}, "known"),
