@@ -29,7 +29,7 @@ RIVAL = 10.0
 # By how much, in χ², an input that is held must be ahead of a smooth one. Of two models whose runs
 # are D standard deviations of noise apart, the false one is ahead by D² less on average, 2 D its
 # deviation: by so much with 1e-4 at most, whatever D is. On heat into two masses, its input a ramp
-# and a step, the smooth truth was behind by 10 on one record in ten.
+# and a step, a smooth truth was once behind by 10.
 HELD = float(norm.isf(_BY_CHANCE)) ** 2
 # Parts of a step between rows, tried one after the other until the error of the rule, which falls
 # with their fourth power, adds less than this share to the variance of the coefficients.

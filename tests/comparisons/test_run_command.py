@@ -75,17 +75,6 @@ def test_a_series_without_its_ledger_is_not_diagnosed(
     assert ".ledger.json" in refused(capsys, "diagnose", alone)
 
 
-def test_a_reading_that_is_hardly_known_agrees_with_nothing() -> None:
-    comparison = made_comparison()
-    name, tau_s = comparison.first.name, comparison.first.model.time_constant_s
-    vague = TauReading("work", 2.0 * tau_s, 0.9 * tau_s)
-    sharp = TauReading("structure", tau_s, 0.05 * tau_s)
-    known = dataclasses.replace(comparison, quotable=(name,))
-    said = answer_of(known, readings=(vague, sharp)).others
-    assert "agrees with structure" in said
-    assert "too uncertain to compare" in said
-
-
 def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() -> None:
     comparison = made_comparison()
     entry = LedgerEntry("choose channels", "", flags=("P25_A has drifted",))
@@ -109,11 +98,11 @@ def test_without_a_recommended_estimator_no_tau_is_stated_and_the_reason_is() ->
 def test_an_error_that_both_have_is_none_of_their_difference() -> None:
     """4 ms apart with 3 ms between them, of which 2.8 ms move both alike."""
     reading, other = ("structure", 0.022, 0.0022), TauReading("work", 0.003, 0.0002)
-    agree, apart = _others(0.018, 0.002, 0.1, [TauReading(*reading), other]).split(
-        "It does not agree with "
-    )
+    readings = [TauReading(*reading), other, TauReading("orders", 0.036, 0.0162)]
+    agree, apart = _others(0.018, 0.002, 0.1, readings).split("It does not agree with ")
     assert "structure 22.0 ± 2.2 ms" in agree
     assert "work 3.00 ± 0.20 ms" in apart
+    assert "too uncertain to compare" in apart
     assert "does not agree" in _others(0.018, 0.002, 0.1, [TauReading(*reading, 0.1)])
 
 

@@ -9,7 +9,6 @@ import pytest
 from made_diagnosis import VERDICTS, made_diagnosis
 from made_pages import EVIL
 
-from comparisons.analysis import missing_words
 from comparisons.missing_effect.quantities import plain_name
 from surge_core.rounding import bracketed
 
@@ -21,7 +20,6 @@ def shown(value: Any) -> tuple[str, str]:
     for tag in ("<script", "<img", "<link", "<svg", 'onerror="', "url("):
         assert tag not in html
     assert html.startswith('<div class="sindy-surge"><style>')
-    assert html.count("<style>") == html.count("</style>") == 1
     assert len(html) < 40_000
     return text, html
 
@@ -37,9 +35,3 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
     assert bracketed(d.tau_after_s, d.tau_stderr_s) in text
     for item in d.missing:
         assert " or ".join(map(plain_name, item.alias_labels[:2])) in text
-    # The answer of a run says the same, and what is left beside a name.
-    said = missing_words(d)
-    assert ("cannot separate" in said) == any(len(item.alias_set) > 1 for item in d.missing)
-    assert ("provisional: " in said) == any(item.provisional for item in d.missing)
-    beside = missing_words(replace(d, verdict="unexplained_structure"))
-    assert ("Something else is left" in beside) == bool(d.missing)
