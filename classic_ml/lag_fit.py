@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import t
 
 from classic_ml.lag_data import LagData, MovingAverage, Terms
 from classic_ml.likelihood import Profile, profile
@@ -71,7 +72,9 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     if data.held_log_tau is None and state is not FitState.AT_LOWER_BOUND:
         share = np.exp(at.shape[0] - data.log_tau_bounds[1])
         stderr = share * np.sqrt(scatter(moves)[0, 0])
-        if not holds_lag(share, stderr, 1.0, DRIFTING if data.drift.size else INTEGRATOR):
+        held = holds_lag(share, stderr, 1.0, DRIFTING if data.drift.size else INTEGRATOR)
+        # A cycle that outweighs the others is for the check of leverage to name.
+        if not held and not (len(data.runs) > 1 and _outweighed(moves[:, 0])):
             state = FitState.LAG_UNDETERMINED
     if terms.deficient or _is_deficient(at.normal[s:, s:]):
         state = FitState.RANK_DEFICIENT
@@ -124,6 +127,16 @@ def _search(data: LagData) -> tuple[Profile, FitState]:
         ends = [_refine(at, CHOICE_DECREMENT)[0] for at in found]
         found = [min(ends, key=lambda end: end.cost - end.decrement)]
     return _refine(found[0], NEWTON_DECREMENT)
+
+
+def _outweighed(moves: FloatArray) -> bool:
+    """Return whether one block moves τ more than the others let expect, by the leverage's rule."""
+    most = int(np.argmax(np.abs(moves)))
+    rest = np.delete(moves, most)
+    if rest.size < 3:
+        return False
+    size = abs(moves[most] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(1.0 + 1.0 / rest.size))
+    return bool(size > t.isf(0.5 * 0.01 / moves.size, rest.size - 1))
 
 
 def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
