@@ -6,17 +6,15 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t
 
 from classic_ml.lag_data import LagData, MovingAverage, Terms
 from classic_ml.likelihood import Profile, profile
-from surge_core.fit_state import DRIFTING, INTEGRATOR, FitState, holds_lag
+from surge_core.fit_state import FitState
 from surge_core.leave_out import (
     BLOCKS,
     block_edges,
     correlation_length,
     leave_out,
-    scatter,
     slow_correlation_length,
 )
 from surge_core.types import FloatArray
@@ -69,13 +67,6 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     moves = np.zeros((len(found), 1))
     moves[:, data.free[:1]] = found[:, : s - data.order]
     curve_moves = found[:, s : s + at.beta.size]
-    if data.held_log_tau is None and state is not FitState.AT_LOWER_BOUND:
-        share = np.exp(at.shape[0] - data.log_tau_bounds[1])
-        stderr = share * np.sqrt(scatter(moves)[0, 0])
-        held = holds_lag(share, stderr, 1.0, DRIFTING if data.drift.size else INTEGRATOR)
-        # A cycle that outweighs the others is for the check of leverage to name.
-        if not held and not (len(data.runs) > 1 and _outweighed(moves[:, 0])):
-            state = FitState.LAG_UNDETERMINED
     if terms.deficient or _is_deficient(at.normal[s:, s:]):
         state = FitState.RANK_DEFICIENT
     both = np.column_stack([moves, curve_moves @ terms.back.T])
@@ -129,16 +120,6 @@ def _search(data: LagData) -> tuple[Profile, FitState]:
     return _refine(found[0], NEWTON_DECREMENT)
 
 
-def _outweighed(moves: FloatArray) -> bool:
-    """Return whether one block moves τ more than the others let expect, by the leverage's rule."""
-    most = int(np.argmax(np.abs(moves)))
-    rest = np.delete(moves, most)
-    if rest.size < 3:
-        return False
-    size = abs(moves[most] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(1.0 + 1.0 / rest.size))
-    return bool(size > t.isf(0.5 * 0.01 / moves.size, rest.size - 1))
-
-
 def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
     data = at.data
     n_errors = max(data.scored.size, 1)
@@ -155,8 +136,12 @@ def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
         at = trial
     if at.decrement <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
-    if data.held_log_tau is None and at.shape[0] <= data.log_tau_bounds[0] + 1e-9:
-        state = FitState.AT_LOWER_BOUND
+    if data.held_log_tau is None:
+        low, high = data.log_tau_bounds
+        if at.shape[0] <= low + 1e-9:
+            state = FitState.AT_LOWER_BOUND
+        elif at.shape[0] >= high - 1e-9:
+            state = FitState.AT_UPPER_BOUND
     return at, state
 
 

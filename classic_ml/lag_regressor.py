@@ -171,16 +171,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
         data = self._data(y, combined, weight, runs)
-        found, state = None, FitState.TOO_FEW_ROWS
-        if data.scored.size > data.n_parameters(terms.shape[1]):
-            state = FitState.CONSTANT_SIGNAL
-            if self.time_constant_s is not None or not is_constant(y[data.weight > 0.0, None]):
-                found = fit_lag(data, combined)
-                state = found.state
-        if found is None or state is FitState.LAG_UNDETERMINED:
-            self._store_static(y, terms, data, state)
+        if data.scored.size <= data.n_parameters(terms.shape[1]):
+            self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
+        elif self.time_constant_s is None and is_constant(y[data.weight > 0.0, None]):
+            self._store_static(y, terms, data, FitState.CONSTANT_SIGNAL)
         else:
-            self._store(found, data, combined)
+            self._store(fit_lag(data, combined), data, combined)
         return self
 
     def predict(

@@ -250,7 +250,7 @@ class WholeRecordFit:
         if self.reading.levels is None or passes.shift is None:
             return 0
         for one, other in ((state, passes.in_stall), (passes.in_stall, state)):
-            for run in runs_of(one.view(np.int8), one.size):
+            for run in runs_of(one, one.size):
                 long = run.stop - run.start >= passes.rows_of(passes.period_s)
                 found += long and not np.any(other[run] == one[run.start])
         return found

@@ -220,8 +220,7 @@ def _in_stall_alone(
     """Return the fit to the rows in stall, τ withheld where it is not known to 12 %."""
     fit = fit_whole_runs(records, degree=degree, until_s=until_s)
     known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
-    tried = fit.fit_state_ in (FitState.CONVERGED, FitState.LAG_UNDETERMINED)
-    if until_s is not None or (withheld is None and not tried):
+    if until_s is not None or (withheld is None and fit.fit_state_ is not FitState.CONVERGED):
         return fit
     return fit if known and withheld is None else fit.withheld(withheld or FitState.UNCERTAIN)
 

@@ -23,7 +23,7 @@ def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
         raise InputError(
             "segments", expected=f"one label for each of {n_rows} rows", found=f"{labels.shape}"
         )
-    number = np.issubdtype(labels.dtype, np.number)
+    number = np.issubdtype(labels.dtype, np.number) or labels.dtype == np.bool_
     if not (number and np.all(np.isfinite(labels)) and np.all(labels == np.round(labels))):
         found, remedy = f"values of type {labels.dtype}", "number the intervals 1, 2, …"
         raise InputError("segments", expected="integer labels", found=found, remedy=remedy)

