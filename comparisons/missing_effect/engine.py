@@ -60,6 +60,8 @@ class Fitted(Protocol):
 
 A = TypeVar("A", bound=Addition)
 F = TypeVar("F", bound=Fitted)
+# Names behind which a second effect is looked for.
+MOST_HEADS = 3
 
 
 @dataclass(frozen=True)
@@ -168,12 +170,12 @@ class Candidate(Generic[A, F]):
     def accepted_slow(self) -> bool:
         """Whether it wins in plain errors what chance does not, here and on held-out rows.
 
-        Chance is that of single effects: pairs are too many for it. The fast part of the errors
-        must not speak against it, beyond the scatter of the held-out blocks.
+        The fast part of the errors must not speak against it, beyond the scatter of the held-out
+        blocks.
         """
         e = self.evidence
         against = e.train <= 0.0 or e.z < -LEAST_Z
-        return self.slow > 0.0 and not (against or e.at_end) and len(self.added) == 1
+        return self.slow > 0.0 and not (against or e.at_end)
 
 
 class System(ABC, Generic[A, F]):
@@ -254,6 +256,10 @@ class System(ABC, Generic[A, F]):
                 self.rows, self.base_errors, (c.errors, top.errors), (c.rank, top.rank), tie
             )
         ]
+
+    def heads(self, ranked: Sequence[Candidate[A, F]]) -> list[Candidate[A, F]]:
+        """Return the names beside which a second effect may be looked for."""
+        return [c for c in ranked if not c.unnamed][:MOST_HEADS]
 
     def second(
         self, head: Candidate[A, F], effects: Sequence[Any], known: Collection[frozenset[Hashable]]

@@ -24,9 +24,8 @@ from comparisons.missing_effect.results import MissingEffect
 RIVALLED = 12.0
 # A plain form speaks for a refined one where it wins this share of what that wins.
 SIMPLE_SHARE = 0.9
-# Two effects at once must beat one by so much, and are looked for behind so many.
+# Two effects at once must beat one by so much.
 PAIR_GAP, PAIR_Z = 6.0, 3.0
-PAIR_HEADS = 3
 # Or leave this share of what the single one leaves.
 PAIR_LEFT = 0.5
 
@@ -76,12 +75,16 @@ def search_round(
     winner, aliases, rivalled = _winner(bench, ranked, order)
     left = bench.leftover(winner, effects, library)
     pairs: tuple[Candidate[A, F], ...] = ()
-    if left is not None and left.structured and room > 1:
+    # Two effects may hide each other.
+    if room > 1 and (winner is None if left is None else left.structured):
         pairs = bench.ranked(_pairs(bench, ranked, effects))
         best = next((pair for pair in pairs if pair.accepted), None)
+        if best is None and winner is None:
+            slows = [pair for pair in pairs if pair.accepted_slow]
+            best = max(slows, key=lambda c: c.slow, default=None)
         if best is not None and _is_better(bench, best, winner, ranked):
             after = bench.leftover(best, effects, library)
-            if after.gain < PAIR_LEFT * left.gain or not after.structured:
+            if after is None or after.gain < PAIR_LEFT * left.gain or not after.structured:
                 winner, aliases, left = best, (best,), after
     every = (*ranked, *pairs, *race.others)
     step = Round(bench, every, winner, aliases, race.refused, left, rivalled)
@@ -99,7 +102,7 @@ def _winner(
     standing = [c for c in ranked if c.evidence.stands]
     best = max((c for c in standing if c.accepted), key=lambda c: c.rank, default=None)
     if best is None:
-        slows = [c for c in ranked if c.accepted_slow]
+        slows = [c for c in ranked if c.accepted_slow and len(c.added) == 1]
         slow = max(slows, key=lambda c: c.slow, default=None)
         if slow is not None and slow.unnamed:
             # A name speaks here, too, wherever it wins nearly as much.
@@ -170,7 +173,7 @@ def _pairs(
 ) -> list[Candidate[A, F]]:
     """Fit the best names together with each second one that its errors ask for."""
     out: dict[frozenset[Hashable], Candidate[A, F]] = {}
-    for head in [c for c in ranked if not c.unnamed][:PAIR_HEADS]:
+    for head in bench.heads(ranked):
         for pair in bench.second(head, effects, out):
             out[pair.keys] = bench.weighed(pair)
     return list(out.values())

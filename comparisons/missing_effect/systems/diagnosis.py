@@ -217,7 +217,7 @@ def _concluded(
         runs = (
             () if whole[0].failed else tuple(_checked(records, e, before, whole[0]) for e in checks)
         )
-        if not whole[0].failed and not any(map(_lost, runs)):
+        if whole[0].cost <= before.cost and not any(map(_lost, runs)):
             after, after_cov, metric, beyond = whole
             checked = runs
             break

@@ -26,7 +26,7 @@ BENT = (Kind.INPUT_MAP, Kind.STATE_LIMIT, Kind.OVERFLOW, Kind.OUTPUT_MAP, Kind.I
 MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
 # Steps from each of several starts, steps of the first lap, those that go on by either count, and
 # steps to the end.
-HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 4, 15
+HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 8, 15
 FLIP_SEED = 0
 # Repeats, whose gaps give a normal tail, and steps of each fit: both begin near their ends.
 REPEATS, STEPS = 20, 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -38,6 +38,9 @@ LEAST_SLOW_SHARE, HELD_OUT_SHARE = 0.25, 0.5
 RIVAL_SHARE = 0.8
 # By how many powers of e small changes of the state may grow beyond the model without a term.
 MOST_GROWTH = 3.0
+# Where what speaks for an effect falls short, if it does by the scatter of its blocks alone.
+HELD_OUT_BLOCKS = ("held-out blocks",)
+MOST_HEADS = 2
 # Whitened error of a run that ran away.
 RAN_AWAY = 1e3
 # Effects that are nothing at the lower bound of their first number.
@@ -122,6 +125,36 @@ class ModelSystem(Bench, System[Placed, Fit]):
         system = replace(self, metric=metric, n_places=len(placed), chances=chances)
         return Tried(system, tried, others, refused)
 
+    def heads(self, ranked: Sequence[ModelCandidate]) -> list[ModelCandidate]:
+        """Return the names beside which a second may be looked for, best first.
+
+        The held-out blocks alone part on them, or they win a good share of the plain error of the
+        rows fitted: what else is missing acts in the others. By itself the rim that the tanks
+        spill over won in half of the blocks, and rounding decided on its name.
+        """
+        least = 0.5 * self._plain[1].n_fitted * float(np.log(1.0 - LEAST_SLOW_SHARE))
+        costs = {}
+        for c in ranked:
+            alone = len(c.added) == 1 and not c.unnamed and not c.evidence.at_end
+            cost = np.inf if c.onward is None else c.onward.cost - self.fit.cost
+            if alone and (c.evidence.refused_on == HELD_OUT_BLOCKS or cost < least):
+                costs[c] = cost
+        return sorted(costs, key=costs.__getitem__)[:MOST_HEADS]
+
+    def second(
+        self,
+        head: ModelCandidate,
+        effects: Sequence[SystemEffect],
+        known: Collection[frozenset[Hashable]],
+    ) -> list[ModelCandidate]:
+        """Return a candidate with each second effect that races beside the first."""
+        out = []
+        for c in self.with_better(head.fit, head.onward).tried(effects, ()).candidates:
+            both = Candidate((*head.added, *c.added), c.fit, onward=c.onward)
+            if c.onward is not None and len(c.added) == 1 and both.keys not in known:
+                out.append(replace(both, fit=self.whitened(c.onward, self.colour)))
+        return out
+
     def errors_of(self, fit: Fit) -> tuple[FloatArray, tuple[float, float]]:
         """Return whitened errors of all outputs; no phase is fitted anywhere."""
         return self._errors(self.colour, fit), (0.0, 0.0)
@@ -141,7 +174,10 @@ class ModelSystem(Bench, System[Placed, Fit]):
         ended = wild or any(_vanished(candidate, i) for i in range(len(candidate.added)))
         evidence = replace(candidate.evidence, chance=self.chances[0], at_end=ended)
         return replace(
-            candidate, evidence=evidence, slow=self._slow(raw), outgrown=_outgrown(candidate)
+            candidate,
+            evidence=evidence,
+            slow=self._slow(raw, len(candidate.added)),
+            outgrown=_outgrown(candidate),
         )
 
     def with_winner(self, step: ModelRound) -> Self:
@@ -245,8 +281,10 @@ class ModelSystem(Bench, System[Placed, Fit]):
         plain = self.raw.with_size_of(self.fit.errors)
         return plain, self._rows(plain), self._errors(plain, self.fit)
 
-    def _slow(self, raw: Fit | None) -> float:
-        """Return the log-units that a candidate wins in plain errors; 0 where chance does.
+    def _slow(self, raw: Fit | None, effects: int) -> float:
+        """Return the log-units that effects win in plain errors; 0 where chance wins as much.
+
+        Chance is that of the best of single effects, once for each.
 
         Slow errors weigh next to nothing once they are whitened, and yet they are what a
         simulation is judged by.
@@ -262,7 +300,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
             shares.append(float(gain[here].sum()) / base)
         won = float(gain[rows.valid].sum())
         fair = min(shares) > LEAST_SLOW_SHARE and shares[1] > HELD_OUT_SHARE * shares[0]
-        return won if fair and won > self.chances[1] else 0.0
+        return won if fair and won > effects * self.chances[1] else 0.0
 
     def _errors(self, metric: Metric, fit: Fit) -> FloatArray:
         """Return whitened errors of all outputs, fitted rows and then those held out."""

@@ -15,6 +15,7 @@ from scipy.signal import lfilter, lsim
 from shared_data import MEASURED, SHARED, needs_measured
 
 from comparisons.missing_effect import Experiment, Model, P, diagnose_model, nulls
+from comparisons.missing_effect.systems import linearised
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
@@ -293,8 +294,13 @@ def firm(found: SystemDiagnosis) -> list[str]:
 
 
 @needs_measured
-def test_the_tanks_overflow() -> None:
-    """The upper tank spills into the lower one: first and firm, and no sensor is blamed."""
+@pytest.mark.parametrize("step", [1e-6, 1.3e-6])
+def test_the_tanks_overflow(step: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper tank spills into the lower one: first and firm, and no sensor is blamed.
+
+    Rounding does not decide it: at 1.01e-6 and 1.5e-6 nothing was named.
+    """
+    monkeypatch.setattr(linearised, "RELATIVE_STEP", step)
     found = diagnosed("tanks")
     assert firm(found)[0] == "overflow(h1) in h1 into h2"
     assert not [label for label in firm(found) if "of y" in label]
