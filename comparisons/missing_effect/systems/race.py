@@ -28,6 +28,8 @@ MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
 # steps to the end.
 HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 8, 15
 FLIP_SEED = 0
+# Log-units of held-out rows that chance makes: 1 %, one-sided.
+ALIKE = 0.5 * 2.33**2
 # Repeats, whose gaps give a normal tail, and steps of each fit: both begin near their ends.
 REPEATS, STEPS = 20, 3
 # Innovations are drawn in blocks, with either sign.
@@ -153,7 +155,8 @@ def _slots(structure: Structure, probe: Probe) -> FloatArray:
 def favoured_metric(bench: Bench, fits: Sequence[Fit]) -> Metric:
     """Return the metric of the errors of the candidate that held-out rows favour.
 
-    By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
+    By its own likelihood on the rows fitted, the most flexible wins, whatever comes after; of those
+    that held-out rows favour alike, the one that fits best.
     """
 
     def held_out(fit: Fit) -> float:
@@ -162,7 +165,9 @@ def favoured_metric(bench: Bench, fits: Sequence[Fit]) -> Metric:
         return -np.inf if later.failed else own.log_likelihood(later.errors)
 
     good = [bench.fit, *(fit for fit in fits if not fit.failed)]
-    return metric_of(max(good, key=held_out).errors)
+    favour = [held_out(fit) for fit in good]
+    alike = [f for f, own in zip(good, favour, strict=True) if own >= max(favour) - ALIKE]
+    return metric_of(min(alike, key=lambda f: f.cost).errors)
 
 
 def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.Generator) -> float:
