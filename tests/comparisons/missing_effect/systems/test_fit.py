@@ -104,19 +104,6 @@ def test_the_number_of_an_effect_and_its_error_are_right() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.8
 
 
-def test_a_timing_offset_is_found() -> None:
-    """An input that was sampled 0.4 samples late."""
-    model = make.body()
-    made = truth.body(6, N, noise=0.005)
-    drawn = truth.tones(np.random.default_rng(6), 20.0, 2.0)
-    made["F"] = np.array([drawn((k + 0.4) * truth.BODY_PERIOD_S) for k in range(N)])
-    run = make.runs_on(model, [make.experiment("body", made)])[0]
-    fit = make.fitted(Structure(model, (), "cubic", 1e-6), [run], [*TRUE, 0.0])
-    stderr = np.sqrt(covariance(fit, [run], raw_metric([run.outputs]))[3, 3])
-    assert stderr < 0.05
-    assert fit.theta[3] == pytest.approx(0.4, abs=4.0 * stderr)
-
-
 @pytest.mark.parametrize("start", [(2.0, 0.1, 8.0), (10.0, 0.1, 20.0)])
 def test_a_model_from_afar_comes_home(start: tuple[float, ...]) -> None:
     """A resonance that starts at a fifth of its frequency: one fit alone ends at 50 kg."""

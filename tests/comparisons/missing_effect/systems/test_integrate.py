@@ -83,27 +83,6 @@ def test_a_forced_lag_follows_its_closed_form() -> None:
     assert np.max(np.abs(path.outputs[:, 0] - wanted)) < 2e-6
 
 
-@pytest.mark.parametrize("late", [-0.8, 0.35, 1.0])
-def test_a_timing_offset_lets_the_input_come_late(late: float) -> None:
-    """θ holds the offset in samples; the answer is that to the shifted input."""
-    tau, w, n, h = 0.5, 2.0, 400, 0.05
-    t = h * np.arange(n)
-    model = model_of(lambda t, x, u, p: (u.w - x.a) / p.tau, inputs=("w",), tau=tau)
-    path = simulated(model, [0.0], n, h, {"w": np.sin(w * t)}, theta=[tau, late])
-    shifted = t - late * h
-    wanted = (np.sin(w * shifted) - w * tau * np.cos(w * shifted)) / (1 + (w * tau) ** 2)
-    assert np.max(np.abs(path.outputs[150:-5, 0] - wanted[150:-5])) < 5e-6
-
-
-def test_a_stiff_equation_is_followed() -> None:
-    """da/dt = −r (a − cos t), r = 1e6: after the first instant a = cos t."""
-    model = model_of(lambda t, x, u, p: -p.r * (x.a - math.cos(t)), r=1e6)
-    path = simulated(model, [0.0], tolerance=1e-6)
-    t = 0.05 * np.arange(200)
-    assert not path.failed
-    assert np.max(np.abs(path.outputs[1:, 0] - np.cos(t)[1:])) < 1e-5
-
-
 def test_friction_with_a_narrow_tanh_brings_to_rest() -> None:
     model = model_of(lambda t, x, u, p: -p.f * math.tanh(x.a / 1e-6), f=0.8)
     path = simulated(model, [3.0], n=120, tolerance=1e-5)
