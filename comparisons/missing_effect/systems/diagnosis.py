@@ -44,14 +44,14 @@ from comparisons.missing_effect.systems.fit import (
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
-from comparisons.missing_effect.systems.places import Placed, SystemEffect, label_of
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.quantities import (
     AT_BOUND,
     asked_beyond,
     at_bound,
     correlation_of,
     covariance,
-    not_known,
+    is_nothing,
     numbers_of,
     widened,
 )
@@ -210,25 +210,29 @@ def _concluded(
     asked = beyond if _as_good_wider(bench, before, beyond) else {}
     if asked and all(e.effect.unnamed for e in bench.fit.structure.effects):
         bench = base
-    found = bench.fit.structure.effects
+    gone: dict[Placed, str] = {}
     checked: tuple[CheckRun, ...] = ()
     while effects := bench.fit.structure.effects:
         whole = _whole(bench)
         runs = (
             () if whole[0].failed else tuple(_checked(records, e, before, whole[0]) for e in checks)
         )
-        if whole[0].cost <= before.cost and not any(map(_lost, runs)):
+        # What fits two thirds of the rows may run away on all of them, or on a check record.
+        wild = not whole[0].cost <= before.cost or any(map(_lost, runs))
+        structure = bench.fit.structure
+        idle = [] if wild else [e for e in effects if is_nothing(whole[0], e, whole[1])]
+        if not wild and not idle:
             after, after_cov, metric, beyond = whole
             checked = runs
             break
-        # What fits two thirds of the rows may run away on all of them, or on a check record.
-        structure, last = bench.fit.structure, effects[-1]
+        last = (*effects, *idle)[-1]
+        gone[last] = "with it the model runs away" if wild else "its number is 0 within its error"
         theta = np.delete(bench.fit.theta, structure.slots_of(last))
         bench = bench.refitted(structure.without(last), theta)
     else:
         checked = tuple(_checked(records, e, before, before) for e in checks)
     added = after.structure.effects
-    keys, gone = {e.key for e in added}, found[len(added) :]
+    keys = {e.key for e in added}
     beyond = asked | beyond
     won = [(r, p) for r in rounds if r.winner for p in r.winner.added if p.key in keys]
     model = records.model
@@ -267,10 +271,9 @@ def _concluded(
         remarks=(
             *_beyond_words(beyond),
             *_unknown_words(parameters),
-            *_remarks(base, rounds, missing, left, gone, badly),
+            *_remarks(base.records.model, missing, left, gone, badly),
             *_start_words(model, checks, checked),
             *_refitted_words(checked),
-            *(_worst_words(training) if missing and not after.failed else ()),
         ),
         model=model,
         records=records,
@@ -351,8 +354,7 @@ def _found(
     doubts = doubts_of(step, placed, numbers, checks, model, left, errors)
     doubts += doubts_beside(placed, numbers, found, left, model, checks, one_sided(fit, records))
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
-    unknown = [not_known(fit, placed, cov, number) for number in numbers[:1]]
-    doubts += tuple(filter(None, [at_bound(fit, placed), *unknown]))
+    doubts += tuple(filter(None, [at_bound(fit, placed)]))
     confirm = {placed.label(model): placed.words(model).confirm}
     for one in aliases:
         confirm.setdefault(one.label(model), one.words(model).confirm)
@@ -513,20 +515,6 @@ def _start_words(model: Model, given: Sequence[Experiment], runs: Sequence[Check
     ]
 
 
-def _worst_words(runs: Sequence[CheckRun]) -> list[str]:
-    """Say which output of a training record goes far more wrong over what is new than of others."""
-    new = [metric_of([run.errors(before=False)]).sigma for run in runs]
-    ratios = np.array([run.after_rms for run in runs]) / np.array(new)
-    worst = [
-        f"{list(runs[r].outputs)[j]} of {runs[r].name}, {ratios[r, j]:.1f} times"
-        for r, j in np.argwhere(ratios > FORETOLD_BADLY * np.median(ratios, axis=0))
-    ]
-    return [
-        "Of the training records one stands out, by its error over what is new in its own samples: "
-        f"{'; '.join(worst)}. What acts there is not found, or a parameter has another value there."
-    ] * bool(worst)
-
-
 def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
     """Say what of the error on check records no fit to other records can know."""
     left = [
@@ -546,19 +534,16 @@ def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
 
 
 def _remarks(
-    base: Bench,
-    rounds: Sequence[ModelRound],
+    model: Model,
     missing: Sequence[MissingEffect],
     left: Leftover,
-    gone: Sequence[Placed],
+    gone: Mapping[Placed, str],
     badly: str,
 ) -> tuple[str, ...]:
-    model, out = base.records.model, []
-    for placed in gone:
-        out.append(
-            f"With {plain_name(placed.label(model))} the model follows the rows fitted and runs "
-            "away on others, so that it is not added: what is missing may resemble it."
-        )
+    out = []
+    for placed, why in gone.items():
+        label = plain_name(placed.label(model))
+        out.append(f"{label} is not added: {why}. What is missing may resemble it.")
     if not gone and (left.structured or left.late or left.disturbed):
         out.append(left_words(left, bool(missing)))
     elif not missing and left.ratio > COLOURED:
@@ -573,13 +558,4 @@ def _remarks(
             "simulated, and nothing fitted explains it: what is missing acts there alone, or a "
             "parameter has another value there. Give training records in which that is so."
         )
-    last = rounds[-1] if rounds else None
-    labels = {item.label for item in missing} | {placed.label(model) for placed in gone}
-    if last is None or last.winner is None:
-        return tuple(out)
-    if not all(placed.label(model) in labels for placed in last.winner.added):
-        label = plain_name(label_of(last.winner.added, model))
-        share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
-        kind = "a term without a name" if last.winner.unnamed else "small"
-        out.append(f"{label} would explain {share} that are left; {kind}, and not added.")
     return tuple(out)

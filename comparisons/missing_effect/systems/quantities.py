@@ -185,15 +185,11 @@ def correlation_of(fit: Fit, placed: Placed, cov: FloatArray) -> float:
     return largest_correlation(cov[np.ix_(at, at)])
 
 
-def not_known(fit: Fit, placed: Placed, cov: FloatArray, first: FittedParameter) -> str:
-    """Say which parameter an amplitude that is not known goes with; empty where it is known."""
-    at, names = int(fit.structure.slots_of(placed)[0]), fit.structure.model.param_names
-    if not abs(first.value) < first.stderr < np.inf or not names or not placed.effect.linear:
-        return ""
-    both = np.maximum(np.diag(cov)[: len(names)] * cov[at, at], 1e-300)
-    shared = np.nan_to_num(cov[at, : len(names)] / np.sqrt(both))
-    k = int(np.argmax(np.abs(shared)))
-    return f"{first.name} is not known here: it goes with {names[k]} (correlation {shared[k]:.2f})"
+def is_nothing(fit: Fit, placed: Placed, cov: FloatArray) -> bool:
+    """Tell whether the one number of an effect is zero within its error."""
+    at, effect = int(fit.structure.slots_of(placed)[0]), placed.effect
+    alone = effect.linear and len(effect.numbers) == 1
+    return alone and bool(float(fit.theta[at]) ** 2 < cov[at, at] < np.inf)
 
 
 def _balanced(
