@@ -212,14 +212,15 @@ def _rival(
 ) -> Candidate[A, F] | None:
     """Return the best that shares no effect with the winner and explains nearly as much.
 
-    A term without a name counts, unless it corrects the same: it is the name, without it.
+    Or more of the plain errors. A term without a name counts, unless it corrects the same: it is
+    the name, without it.
     """
     share = system.policy.rival_share
     if winner.unnamed or share is None:
         return None
     listed = frozenset(key for c in step.aliases for key in c.keys)
     for c in step.candidates:
-        near = c.accepted and c.rank > share * winner.rank
+        near = c.accepted and (c.rank > share * winner.rank or c.slow > winner.slow)
         same = near and c.unnamed and _corrects_the_same(system, c, winner)
         if near and not same and not listed & c.keys:
             return c

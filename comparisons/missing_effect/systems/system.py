@@ -111,7 +111,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         placed, refused = placed_effects(fit, self.train, [*effects, *library])
         prober = Prober(fit, self.train, placed)
         raw, white = prober.in_metric(self.raw), prober.in_metric(metric_of(fit.errors))
-        fits = raced(self, promising(raw, white))
+        fits = raced(self, promising(raw, white), white, raw)
         metric, rng = favoured_metric(self, list(fits.values())), np.random.default_rng(FLIP_SEED)
         chances = prober.in_metric(metric).chance(rng), raw.chance(rng)
         tried = [

@@ -11,7 +11,7 @@ import numpy as np
 from comparisons.missing_effect.engine import Candidate, Policy, Round, System, Tried
 from comparisons.missing_effect.evidence import Rows, Tie
 from comparisons.missing_effect.lag_data import LATER, TRAIN
-from comparisons.missing_effect.search import alias_sets, search
+from comparisons.missing_effect.search import _rival, alias_sets, search
 
 N, BLOCK = 1200, 30
 PART = np.repeat(np.array([TRAIN, LATER], dtype=np.int8), (N // 2, N // 2))
@@ -140,3 +140,12 @@ def test_a_refined_form_speaks_for_its_plain_one_and_what_that_leaves() -> None:
     for more in (0.0, 0.3):
         y = 4.0 * TABLE["a refined"] + more * TABLE["a"] + NOISE
         assert set(found_in(y, "a, b, a refined")) == {"a refined"}
+
+
+def test_what_explains_more_of_the_plain_errors_is_a_rival() -> None:
+    y = 2.0 * TABLE["a"] + TABLE["c"] + NOISE
+    table = Table(Linear(y), replace(POLICY, rival_share=0.8))
+    a, c = map(table.weighed, table.tried([Column("a"), Column("c")], ()).candidates)
+    for slow in (0.0, 1.0):
+        step = Round(table, (a, replace(c, slow=slow)), a, (a,))
+        assert (_rival(step, a, table) is not None) == (slow > 0.0)

@@ -169,14 +169,6 @@ def test_a_drive_at_its_limit_is_named_and_the_parameters_are_right() -> None:
     assert np.all(check.after_rms < ABOVE_NOISE * noise_of(found))
 
 
-def test_a_delay_is_named_as_one() -> None:
-    """Six seconds between the heater's switch and its heat."""
-    found = diagnosed("thermal", most_effects=1, rows=800, delay_s=6.0)
-    assert found.missing[0].effect == "transport_delay"
-    number = found.missing[0].parameters[0]
-    assert number.value == pytest.approx(6.0, abs=max(4.0 * number.stderr, 0.1))
-
-
 @pytest.mark.parametrize(
     ("kind", "seed"), [("thermal", 11), ("tanks", 12), ("pipe", 11), ("circuit", 12)]
 )

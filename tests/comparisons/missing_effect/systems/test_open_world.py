@@ -21,8 +21,13 @@ from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.benchmark_data import BENCHMARK_FOLDER
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import leftover_of, proves
+from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
+from comparisons.missing_effect.systems.quantities import is_nothing
+from comparisons.missing_effect.systems.race import raced
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import SystemDiagnosis
+from comparisons.missing_effect.systems.score import Prober, placed_effects
+from comparisons.missing_effect.systems.system import ModelSystem
 
 ROOT = Path(__file__).parents[4]
 EXAMPLES = ROOT / "examples" / "measured"
@@ -287,6 +292,18 @@ def test_a_timing_offset_is_where_the_errors_are_least() -> None:
     )  # fmt: skip
     fit = Bench.of(Records.of(model, [Experiment("arm", 1.0, {"u": u, "y": y})])).fit
     assert fit.theta[fit.structure.offsets] == pytest.approx(0.93, abs=0.01)
+
+
+def test_a_term_that_promised_more_than_the_name_that_leads_races_as_well() -> None:
+    system = ModelSystem.of(Records.of(LINEAR, [oscillator(41, 600, -0.4)]))
+    placed, _ = placed_effects(system.fit, system.train, [*SYSTEM_CATALOGUE, *OPEN_TERMS])
+    answers = Prober(system.fit, system.train, placed).in_metric(system.raw)
+    names = [p for p in answers.best() if not p.unnamed][:2]
+    fits = raced(system, names, answers)
+    term = next(p for p in fits if "x²·v" in p.placed.label(LINEAR))
+    assert fits[term].cost < min(fits[p].cost for p in fits if p is not term)
+    covs = [np.diag((share * fits[term].theta) ** 2) for share in (0.5, 2.0)]
+    assert [is_nothing(fits[term], term.placed, cov) for cov in covs] == [False, True]
 
 
 def test_a_check_record_proves_nothing_where_its_own_parameters_are_others() -> None:
