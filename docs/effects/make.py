@@ -15,7 +15,6 @@ from pathlib import Path
 
 from comparisons.missing_effect import CATALOGUE, SYSTEM_CATALOGUE, SystemEffect
 from comparisons.missing_effect.catalogue import FLOW_NOISE, find_effect
-from comparisons.missing_effect.systems.catalogue import find_system_effect
 from comparisons.missing_effect.systems.shapes import Kind
 
 HERE = Path(__file__).parent
@@ -108,7 +107,7 @@ def says_of(form: SystemEffect) -> str:
 
 def system_blocks(name: str) -> dict[str, str]:
     """Return the blocks of an effect of the general catalogue."""
-    forms = find_system_effect(name)
+    forms = [effect for effect in SYSTEM_CATALOGUE if effect.name == name]
     rows = [(equation_of(form), PLACES[form.kind], says_of(form)) for form in forms]
     numbers = [
         (
@@ -146,7 +145,8 @@ def pages() -> dict[Path, dict[str, str]]:
     rows = [
         (f"[`{name}`]({name}.md)", equation_of(form), PLACES[form.kind])
         for name in system
-        for form in find_system_effect(name)
+        for form in SYSTEM_CATALOGUE
+        if form.name == name
     ]
     heads = ("effect", "it adds", "it may sit at")
     out[HERE / "systems" / "index.md"] = {"table": table(heads, rows)}

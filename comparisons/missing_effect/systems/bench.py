@@ -148,14 +148,23 @@ class Bench:
         return whole.refitted(structure, self.fit.theta)
 
     def timed(self) -> Self:
-        """Return the bench with the timing offsets that whitened errors ask for, step by step."""
+        """Return the bench with the timing offsets that whitened errors ask for, while they pay.
+
+        A wrong one whitens itself away in part: of 0.95 samples once found 0.88. With room for more
+        than a row before the record from the start, offsets stood in for what was missing.
+        """
         if not self.records.model.inputs or self.fit.failed:
             return self
         white = self.whitened(self.fit, metric_of(self.fit.errors))
         moved = self.refitted(self.fit.structure, _with_offsets(self.fit, white))
-        before, after = self.held_out_size(), moved.held_out_size()
-        better = replace(moved if after < before / BETTER_TIMED else self, white=white)
-        return better.timed() if after < BETTER_TIMED * before else better
+        share = moved.held_out_size() / self.held_out_size()
+        if not share < BETTER_TIMED:
+            return replace(moved if share < 1.0 / BETTER_TIMED else self, white=white)
+        fit, earliest = moved.fit, moved.fit.structure.earliest
+        if min(fit.theta[fit.structure.offsets]) <= -earliest:
+            earlier = replace(fit.structure, earliest=earliest + MOST_OFFSET)
+            fit = replace(fit, structure=earlier)
+        return replace(moved, fit=fit, white=white).timed()
 
     def held_out_size(self) -> float:
         """Return the held-out error, outputs joined by their geometric mean."""

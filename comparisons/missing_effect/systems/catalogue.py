@@ -38,14 +38,3 @@ def _catalogue() -> tuple[SystemEffect, ...]:
 
 
 SYSTEM_CATALOGUE = _catalogue()
-
-
-def find_system_effect(name: str) -> tuple[SystemEffect, ...]:
-    """Return the entries of the general catalogue under a name.
-
-    Parameters
-    ----------
-    name : str
-        Identifier; several places of one effect have entries of their own.
-    """
-    return tuple(effect for effect in SYSTEM_CATALOGUE if effect.name == name)

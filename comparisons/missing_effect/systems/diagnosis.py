@@ -22,6 +22,7 @@ from comparisons.missing_effect.search import (
 from comparisons.missing_effect.systems.bench import BETTER_WHITE, Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
+    FIRM_ERRORS,
     doubts_beside,
     doubts_of,
     left_words,
@@ -58,9 +59,9 @@ from comparisons.missing_effect.systems.quantities import (
 from comparisons.missing_effect.systems.records import Records, check_run, rows_together, runs_of
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import HALF_SAMPLE, Run
+from comparisons.missing_effect.systems.structure import HALF_SAMPLE, MOST_OFFSET, Run
 from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
-from surge_core.rounding import significant
+from surge_core.rounding import round_to_error, significant
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
@@ -218,7 +219,8 @@ def _concluded(
             () if whole[0].failed else tuple(_checked(records, e, before, whole[0]) for e in checks)
         )
         # What fits two thirds of the rows may run away on all of them, or on a check record.
-        wild = not whole[0].cost <= before.cost or any(map(_lost, runs))
+        lost = [np.isfinite(run.before_rms) & ~np.isfinite(run.after_rms) for run in runs]
+        wild = not whole[0].cost <= before.cost or bool(np.any(lost))
         structure = bench.fit.structure
         idle = [] if wild else [e for e in effects if is_nothing(whole[0], e, whole[1])]
         if not wild and not idle:
@@ -255,6 +257,7 @@ def _concluded(
     left_over = left.structured or left.late or left.disturbed
     open_ = not missing and (bool(gone) or bool(beyond) or bool(badly) or left_over)
     parameters = _parameters(records, (before, before_cov), (after, after_cov))
+    offsets = _offsets(model, after, after_cov)
     training = tuple(
         _run(e, "fitted", model, [fit.paths[r].outputs for fit in (before, after)])
         for r, e in enumerate(records.whole)
@@ -271,6 +274,7 @@ def _concluded(
         remarks=(
             *_beyond_words(beyond),
             *_unknown_words(parameters),
+            *_clock_words(offsets, after),
             *_remarks(base.records.model, missing, left, gone, badly),
             *_start_words(model, checks, checked),
             *_refitted_words(checked),
@@ -280,7 +284,7 @@ def _concluded(
         rounds=rounds,
         before=before,
         after=after,
-        offsets=_offsets(model, after, after_cov),
+        offsets=offsets,
         training=training,
         checks=checked,
         floor=metric.sigma,
@@ -327,11 +331,6 @@ def _as_good_wider(bench: Bench, before: Fit, beyond: Collection[str]) -> bool:
     runs = runs_of(bench.records, bench.records.whole, before.structure.between, begun=True)
     wide = widened(before, beyond).again(runs, raw_metric([run.outputs for run in runs]))
     return before.cost - wide.cost > RIVAL_SHARE * (before.cost - _whole(bench)[0].cost)
-
-
-def _lost(run: CheckRun) -> bool:
-    """Tell whether a check record can be simulated without what was added, and not with it."""
-    return bool(np.any(np.isfinite(run.before_rms) & ~np.isfinite(run.after_rms)))
 
 
 def _found(
@@ -400,22 +399,31 @@ def _badly_foretold(bench: Bench, checks: Sequence[CheckRun]) -> str:
 
 
 def _beyond_words(beyond: Mapping[str, str]) -> list[str]:
-    if not beyond:
-        return []
     return [
         f"The records ask for {' and '.join(beyond.values())}: widen the bound, if the quantity "
         "allows it. What is missing cannot be parted from what the bound brings about."
-    ]
+    ] * bool(beyond)
+
+
+def _clock_words(offsets: Sequence[FittedParameter], fit: Fit) -> list[str]:
+    """Say of which inputs the clock is off: early by more than a hold explains, or at an end."""
+    out, end = [], f"rows against {', '.join(fit.structure.model.outputs)}: check the clocks."
+    for one in offsets:
+        at_end = one.value in (-fit.structure.earliest, MOST_OFFSET)
+        least = abs(one.value) - FIRM_ERRORS * one.stderr
+        if least > HALF_SAMPLE * (not at_end) and (at_end or one.value < 0.0):
+            rows = round_to_error(abs(one.value), 0.0 if at_end else one.stderr)
+            late = f"{'is recorded' if one.value < 0.0 else 'acts'} late by {'at least ' * at_end}"
+            out.append(f"The input {one.name} {late}{rows} {end}")
+    return out
 
 
 def _unknown_words(parameters: Sequence[ParameterRow]) -> list[str]:
     unknown = [row.name for row in parameters if np.isinf(row.after_stderr)]
-    if not unknown:
-        return []
     return [
         f"These records do not fix {' and '.join(unknown)}: the outputs do not answer to "
         "such a change, or another number makes up for it. The value is where the search stood."
-    ]
+    ] * bool(unknown)
 
 
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
@@ -462,20 +470,19 @@ def _run(
     """Return a record with its simulations before, after, and fitted to the record itself."""
     n, period_s = experiment.n_samples, experiment.sample_period_s
     time_s = experiment.first_s + period_s * np.arange(n, dtype=np.float64)
-    measured, (before, after, *own) = experiment.columns(model.output_names), simulated
-    refitted = own[0] if own else None
+    before, after, *own = simulated
     return CheckRun(
         experiment.name,
         kind,
         period_s,
         time_s,
         model.outputs,
-        measured,
+        experiment.columns(model.output_names),
         before,
         after,
         settle,
         experiment.channels,
-        refitted,
+        own[0] if own else None,
         loose,
     )
 
@@ -523,14 +530,12 @@ def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
         for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True)
         if own < WORTH_SAYING * after
     ]
-    if not left:
-        return []
     return [
         "With start and parameters fitted to a check record itself the same model leaves less of "
         f"its error: {', '.join(left)}. The rest is its start, which its first rows do not show "
         "well, what differs between the records, or what the model still lacks: these figures "
         "do not separate the three."
-    ]
+    ] * bool(left)
 
 
 def _remarks(

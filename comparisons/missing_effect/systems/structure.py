@@ -39,7 +39,7 @@ class Structure:
     They run in one way all, or each in its own.
     The relative tolerance of the integrator is well below the noise of the outputs. The timing
     offsets of the inputs show in the fast part of the errors alone: they come from fits in a
-    whitening metric, where they are free, and are held in raw ones.
+    whitening metric, where they are free, and are held in raw ones. They go back to ``earliest``.
     """
 
     model: Model
@@ -47,6 +47,7 @@ class Structure:
     between: Between = "cubic"
     tolerance: float = FIRST_TOLERANCE
     offsets_free: bool = True
+    earliest: float = MOST_OFFSET
 
     def with_effect(self, effect: Placed) -> Structure:
         """Return the model with one more effect."""
@@ -105,8 +106,8 @@ class Structure:
         # Beside a delay of the same input an offset says the same once more.
         late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
         for j in range(len(self.model.inputs)):
-            most = 0.0 if j in late else MOST_OFFSET
-            rows.append((-most, most, not self.offsets_free or j in late))
+            low, high = (0.0, 0.0) if j in late else (-self.earliest, MOST_OFFSET)
+            rows.append((low, high, not self.offsets_free or j in late))
         for placed in self.effects:
             numbers = placed.effect.numbers
             rows += [(n.low, n.high, held) for n, held in zip(numbers, placed.held, strict=True)]

@@ -169,6 +169,16 @@ def test_a_drive_at_its_limit_is_named_and_the_parameters_are_right() -> None:
     assert np.all(check.after_rms < ABOVE_NOISE * noise_of(found))
 
 
+@pytest.mark.parametrize("late", [6.0, 0.4, -2.0])
+def test_what_comes_late_is_a_delay_and_what_comes_early_the_clocks(late: float) -> None:
+    """Rows of a second between the heater's switch and its heat; before it, no other name."""
+    found = diagnosed("thermal", most_effects=1, rows=800, delay_s=late)
+    assert [item.effect for item in found.missing] == ["transport_delay"] * (late > 1.0)
+    number = found.missing[0].parameters[0] if found.missing else found.offsets[0]
+    assert number.value == pytest.approx(late, abs=max(4.0 * number.stderr, 0.1))
+    assert ("P is recorded late by" in " ".join(found.remarks)) == (late < -1.0)
+
+
 @pytest.mark.parametrize(
     ("kind", "seed"), [("thermal", 11), ("tanks", 12), ("pipe", 11), ("circuit", 12)]
 )

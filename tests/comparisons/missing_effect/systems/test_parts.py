@@ -10,7 +10,7 @@ import system_models as make
 import system_truths as truth
 from made_systems import STATES, fit_of, machine, placed_at
 
-from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE, find_system_effect
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
@@ -76,7 +76,7 @@ def test_a_contact_pushes_back_on_what_moves_it() -> None:
     assert (displacements(model), rates(model)) == ((0, 1, 2), (1, 2))
     places = {(p.at, p.signal): p.sign for p in against_storing(model) if p.signal == 0}
     assert places == {(1, 0): 1, (2, 0): -1}
-    contact = next(e for e in find_system_effect("dead_zone") if e.kind == Kind.TERM)
+    contact = next(e for e in SYSTEM_CATALOGUE if (e.name, e.kind) == ("dead_zone", Kind.TERM))
     flipped = Placed(contact, Place(2, 0, sign=-1), (2.0, 0.5, 1.0), ())
     assert flipped.floats == (-2.0, 0.5, 1.0, 0.0, 0.0)
     assert contact.numbers[0].high == 0.0
@@ -107,7 +107,7 @@ def test_a_loop_of_any_shape_is_found(ratio: float) -> None:
     model = make.body()
     run = make.runs_on(model, [make.experiment("body", bouc_wen(1500, ratio))])[0]
     fit = bare_fit(model, run)
-    placed, _ = placed_effects(fit, [run], find_system_effect("hysteresis"))
+    placed, _ = placed_effects(fit, [run], [e for e in SYSTEM_CATALOGUE if e.name == "hysteresis"])
     assert [one.place for one in placed] == [Place(1, 1)]
     whole = min(
         (fitted_with(fit, run, placed[0], (-0.1, *start[1:])) for start in placed[0].starts),
@@ -128,7 +128,7 @@ def test_the_exponent_of_a_sensor_that_is_blind_to_the_sign_is_found() -> None:
     )
     made = truth.body(5, 800, sensor=lambda q: np.abs(3.0 * q) ** 1.7, noise=0.01)
     run = make.runs_on(model, [make.experiment("body", made)])[0]
-    sensor = find_system_effect("absolute_value_sensor")[0]
+    sensor = next(e for e in SYSTEM_CATALOGUE if e.name == "absolute_value_sensor")
     scale = float(np.sqrt(np.mean(run.outputs**2)))
     effect = Placed(sensor, Place(0), (1.0, scale, 1.0), ((1.0,), (1.8,)))
     structure = Structure(model, (effect,), "cubic", 1e-6, offsets_free=False)
@@ -143,17 +143,15 @@ def test_a_sensor_may_be_blind_only_to_a_sign_that_the_model_changes() -> None:
     """A level is never negative: nothing can be said of what its sensor would show there."""
     model = make.tanks()
     run = make.runs_on(model, [make.experiment("tanks", truth.tanks(1, 600))])[0]
-    blind = (*find_system_effect("absolute_value_sensor"), *find_system_effect("rectifying_sensor"))
+    names = ("absolute_value_sensor", "rectifying_sensor")
+    blind = [e for e in SYSTEM_CATALOGUE if e.name in names]
     placed, refused = placed_effects(bare_fit(model, run), [run], blind)
     assert placed == []
     assert all(words.startswith("needs an output that changes sign") for words in refused.values())
     model, run = body_with(lambda t, q, v: 0.0)
     half = replace(run, outputs=np.abs(run.outputs))
     fit = bare_fit(model, run, BODY)
-    assert {one.name for one in placed_effects(fit, [half], blind)[0]} == {
-        "absolute_value_sensor",
-        "rectifying_sensor",
-    }
+    assert {one.name for one in placed_effects(fit, [half], blind)[0]} == set(names)
     assert placed_effects(fit, [run], blind)[0] == []
 
 
