@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import Fit
-from surge_core.rounding import round_to_error, significant
+from surge_core.rounding import bracketed, round_to_error, significant
 
 _SYMBOLS = {
     "Delta": "Δ",
@@ -61,6 +61,8 @@ PREFIXED = frozenset(
 STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
 # Of units that take no prefix: smaller numbers read badly as decimals.
 PLAIN_BELOW = 1e-2
+# A number that these records leave anywhere in its range.
+NOT_FIXED = "not fixed"
 
 
 def symbol(parameter: str) -> str:
@@ -71,15 +73,22 @@ def symbol(parameter: str) -> str:
 def quantity(value: float, stderr: float, unit: str) -> str:
     """Return a number with its standard error and unit; small times are written in ms.
 
-    An error that is not known is NaN.
+    An error that is not known is NaN; one beyond the range of its number is infinite.
     """
     factor, shown = _read_in(value, unit)
     value, stderr = factor * value, factor * stderr
+    if math.isinf(stderr):
+        return NOT_FIXED
     if math.isnan(stderr):
         return f"about {float(f'{value:.2g}'):g} {shown}".rstrip()
     if stderr <= 0.0:
         return f"{significant(value)} {shown}".rstrip() + " (held)"
     return f"{round_to_error(value, stderr)} {shown}".rstrip()
+
+
+def last_digits(value: float, stderr: float) -> str:
+    """Return a number with its standard error in its last digits, if these records fix it."""
+    return NOT_FIXED if math.isinf(stderr) else bracketed(value, stderr)
 
 
 def size_words(value: float, unit: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.quantities import (
+    last_digits,
     number_rows,
     open_words,
     plain_name,
@@ -20,7 +21,7 @@ from comparisons.missing_effect.quantities import (
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.where_rows import SYMBOLS, Where
 from surge_core.display import Displayed, Field, Grid, Sheet
-from surge_core.rounding import bracketed, significant
+from surge_core.rounding import significant
 
 # Under this name the evidence holds how many standard errors large an effect is as a whole.
 SIZE = "size_in_errors"
@@ -432,7 +433,7 @@ class Diagnosis(Displayed):
             values = [(row.after, row.after_stderr)]
             if self.missing:
                 values.insert(0, (row.before, row.before_stderr))
-            cells = [bracketed(scale.factor * v, scale.factor * error) for v, error in values]
+            cells = [last_digits(scale.factor * v, scale.factor * error) for v, error in values]
             bound = ", at its bound" if row.at_bound else ""
             rows.append((row.name, *cells, scale.unit + bound))
         both = ("before", "after") if self.missing else ("value",)

@@ -129,12 +129,15 @@ def verdict_sentence(d: Diagnosis) -> str:
     each = []
     for item in d.missing:
         # A number whose error is not known is no answer; the table has it.
-        known = not any(np.isnan(p.stderr) for p in item.parameters[:1])
+        known = all(np.isfinite(p.stderr) for p in item.parameters[:1])
         numbers = number_rows(item.effect, item.parameters)[:1] if known else ()
         first = "".join(f" ({n} = {text})" if n else f" ({text})" for n, text in numbers)
         plain = "port" in item.place and not item.unnamed and d.verdict not in _LACKS
         each.append(f"{'the ' * plain}{_named(item)}{first}{_together(item)}")
-    lead = f"{d.subject} {_LACKS.get(d.verdict, 'lacks')} {_listed(each)}"
+    lacks = _LACKS.get(d.verdict, "lacks")
+    if all(np.all(run.worse) for run in d.proof):
+        lacks = "asks on the rows fitted, and on no check record, for"
+    lead = f"{d.subject} {lacks} {_listed(each)}"
     if d.acts_unscored:
         return f"{lead}."
     it, (_, tau) = "them" if len(each) > 1 else "it", d.tau_said

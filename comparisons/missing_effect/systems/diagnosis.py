@@ -445,6 +445,10 @@ def _row(name: str, p: P, fitted: Sequence[tuple[float, float]]) -> ParameterRow
         *((float(value), float(np.sqrt(max(variance, 0.0)))) for value, variance in fitted),
         strict=True,
     )
+    # What may be anywhere within its bounds is not fixed.
+    before_stderr, after_stderr = (
+        np.inf if error > p.high - p.low else error for error in (before_stderr, after_stderr)
+    )
     at_bound = min(after - p.low, p.high - after) < AT_BOUND * (p.high - p.low)
     return ParameterRow(name, p.unit, before, after, before_stderr, after_stderr, at_bound)
 
@@ -455,6 +459,7 @@ def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedParameter, 
     # A black box reads its inputs in rows: of one that is held less than a row is no shift.
     whole = (ways == "held") & (model.simulate is not None)
     values, errors = np.where(whole, np.ceil(values), values) + 0.0, np.where(whole, 0.0, errors)
+    errors[errors > 2.0 * MOST_OFFSET] = np.inf
     each = zip(model.input_names, values.tolist(), errors.tolist(), strict=True)
     return tuple(FittedParameter(name, value, error, "samples") for name, value, error in each)
 

@@ -91,7 +91,7 @@ def doubts_of(
     out = []
     amplitude = bool(numbers) and placed.effect.linear
     if amplitude and not np.isfinite(numbers[0].stderr):
-        out.append(f"the standard error of {numbers[0].name} is not known")
+        out.append(f"{numbers[0].name} is not fixed by these records")
     elif amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")

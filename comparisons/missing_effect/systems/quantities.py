@@ -156,10 +156,10 @@ def numbers_of(
             # Told as a share of the parameter as it is now, not as it was without the drift.
             factor *= placed.scales[0] / max(abs(float(fit.theta[placed.place.at])), 1e-300)
         value, stderr = float(fit.theta[at + slot]), float(np.sqrt(cov[at + slot, at + slot]))
-        if stderr > number.high - number.low and not (slot == 0 and placed.effect.linear):
-            # The errors turn back here, as about the peak of a curve: to first order nothing is
-            # known of it, and to second order it is.
-            stderr = np.nan
+        if stderr > number.high - number.low:
+            # The errors of a shape turn back here, as about the peak of a curve: to first order
+            # nothing is known of it, and to second order it is.
+            stderr = np.inf if slot == 0 and placed.effect.linear else np.nan
         out.append(FittedParameter(number.name, factor * value, abs(factor) * stderr, unit))
     if placed.effect.linear and placed.effect.kind in ACTS_IN:
         out[0] = _balanced(fit, placed, cov, out[0], at)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
+from comparisons.missing_effect.quantities import NOT_FIXED, last_digits
 from comparisons.missing_effect.results import (
     CandidateRow,
     Diagnosis,
@@ -26,7 +27,6 @@ from comparisons.missing_effect.systems.roles import measured_as
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from comparisons.missing_effect.where import where_of
 from comparisons.missing_effect.where_rows import Residuals, Where
-from surge_core.rounding import bracketed
 
 # Where an effect names the signal that it acts on.
 SIGNAL_KEYS = ("signal", "input", "sensor", "state")
@@ -81,7 +81,8 @@ class SystemDiagnosis(Diagnosis):
         """How inputs run between samples, and how late each acts."""
         if not self.model.inputs:
             return ""
-        listed = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in self.offsets)
+        each = [f"{o.name} {last_digits(o.value, o.stderr)} samples" for o in self.offsets]
+        listed = ", ".join(each).replace(f"{NOT_FIXED} samples", NOT_FIXED)
         before, after = (
             way if isinstance(way, str) else ", ".join(f"{name} {own}" for name, own in way.items())
             for way in map(_between, (self.before, self.after))

@@ -180,4 +180,5 @@ def test_a_model_that_explains_nothing_is_not_called_complete() -> None:
     found = diagnose_model(model, make.experiment("body", made), most_effects=0)
     assert found.verdict == "unexplained_structure"
     assert any("do not fix idle" in words for words in found.remarks)
+    assert [row[1] for row in found.parameter_grid().rows][1] == "not fixed"
     assert found.offsets[0].value in (-1.0, 0.0, 1.0)
