@@ -69,6 +69,8 @@ class Leftover:
         Chance of how well inputs of earlier rows foretell what is new in each error.
     idle : bool
         Whether coloured errors of an output are more than what the model explains of it.
+    mute : str
+        Outputs of which the model explains no more than chance.
     """
 
     flip_p: float
@@ -80,6 +82,7 @@ class Leftover:
     new_p: float = 1.0
     late_p: float = 1.0
     idle: bool = False
+    mute: str = ""
 
     @property
     def late(self) -> bool:
@@ -97,7 +100,7 @@ class Leftover:
     @property
     def disturbed(self) -> bool:
         """Whether the errors are so slow that a disturbance, or something missing, is there."""
-        return self.ratio > LARGEST_RATIO or self.idle
+        return self.ratio > LARGEST_RATIO or self.idle or bool(self.mute)
 
 
 def chance_of(found: float, by_chance: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from comparisons.missing_effect.systems.places import (
     label_of,
     signal_names,
 )
-from comparisons.missing_effect.systems.records import Records
+from comparisons.missing_effect.systems.records import Records, rows_together
 from comparisons.missing_effect.systems.roles import feeds_through, measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
@@ -287,6 +288,11 @@ def left_words(left: Leftover, named: bool) -> str:
             facts.insert(0, f"the error on the rows fitted for naming is {size}")
         late = " Dynamics that are missing do that: a mode, a further lag, a pipe." * left.late
         return f"{lead}omething is missing that nothing here fits: {', and '.join(facts)}.{late}"
+    if left.mute:
+        return (
+            f"The model explains no more of {left.mute} than a constant does: the inputs have no "
+            "visible effect on it in these records."
+        )
     return (
         f"{lead}omething is left that goes on from sample to sample: the error is "
         f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
@@ -317,6 +323,25 @@ def one_sided(fit: Fit, records: Records) -> frozenset[int]:
     return frozenset(np.flatnonzero(alike).tolist())
 
 
+def _mute(fit: Fit, swing: FloatArray) -> str:
+    """Return the outputs of which a model explains no more than chance, beside a constant.
+
+    Errors that go together count once: of a robot whose actuation did not reach its height, 0.4 %
+    of the squared swing were explained, and "nothing" was missing.
+    """
+    from scipy.stats import chi2
+
+    out = []
+    for j, name in enumerate(fit.structure.model.output_names):
+        own = replace(fit, errors=tuple(e[:, [j]] for e in fit.errors))
+        rows = sum(np.isfinite(e).sum() for e in own.errors) / rows_together(own)
+        gain = float(np.log(max(swing[j] / max(own.rms[0], 1e-300), 1.0) ** 2))
+        # What explains half is no chance, however slow the errors are.
+        by_chance = chi2.sf(rows * gain, max(fit.n_parameters - 1, 1)) > LEAST_P
+        out += [name] * bool(by_chance and gain < np.log(2.0))
+    return " and ".join(out)
+
+
 def leftover_of(
     bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
 ) -> Leftover:
@@ -338,6 +363,7 @@ def leftover_of(
     p, share, follows, new_p, late_p = 1.0, 0.0, "", 1.0, 1.0
     entered = [run.experiment.columns(model.input_names) for run in (*bench.train, *bench.later)]
     ratios = bench.fit.rms / np.asarray(metric.sigma)
+    mute = _mute(bench.fit, np.asarray(bench.raw.sigma))
     # An output of which less is explained than left is not shown to need nothing more.
     idle = bool(np.any((ratios > COLOURED) & (2.0 * bench.fit.rms**2 > np.square(bench.raw.sigma))))
     for j in range(len(model.outputs)):
@@ -357,4 +383,6 @@ def leftover_of(
             asked[one.key] = plain_name(there.best()[0].placed.label(model))
     p, new_p, late_p = (min(1.0, chance * len(model.outputs)) for chance in (p, new_p, late_p))
     follows = follows if p < FOLLOWED_P else ""
-    return Leftover(flip_p, p, share, float(np.max(ratios)), follows, asked, new_p, late_p, idle)
+    return Leftover(
+        flip_p, p, share, float(np.max(ratios)), follows, asked, new_p, late_p, idle, mute
+    )

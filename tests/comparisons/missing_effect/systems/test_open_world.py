@@ -75,19 +75,13 @@ def oscillator(
 
 
 LINEAR = Model(
-    name="oscillator",
-    states={"x": "m", "v": "m/s"},
-    inputs={"u": "N"},
-    outputs={"y": "m"},
+    name="oscillator", states={"x": "m", "v": "m/s"}, inputs={"u": "N"}, outputs={"y": "m"},
     params={
-        "b": P(1.0, 0.1, 5.0, "1/kg"),
-        "c": P(0.5, 0.0, 5.0, "1/s"),
-        "k": P(1.2, 0.1, 5.0, "1/s^2"),
+        "b": P(1.0, 0.1, 5.0, "1/kg"), "c": P(0.5, 0.0, 5.0, "1/s"), "k": P(1.2, 0.1, 5.0, "1/s^2"),
     },
     rhs=lambda t, x, u, p: (x.v, p.b * u.u - p.c * x.v - p.k * x.x),
-    output=lambda t, x, u, p: x.x,
-    exact=("x",),
-)
+    output=lambda t, x, u, p: x.x, exact=("x",),
+)  # fmt: skip
 
 
 def test_a_product_that_no_name_holds_is_given_as_an_equation() -> None:
@@ -104,6 +98,16 @@ def test_noise_as_slow_as_the_system_itself_gets_no_name() -> None:
     assert diagnose_model(LINEAR, oscillator(43, 1200, 0.0, "slow")).missing == ()
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_an_input_without_a_visible_effect_is_said_to_have_none(share: float) -> None:
+    record, noise = oscillator(43, 600, 0.0), np.random.default_rng(5).standard_normal(600)
+    y = share * record.channels["y"] + lfilter([1.0], [1.0, -0.78], noise)
+    given = replace(record, channels={**record.channels, "y": y})
+    found = diagnose_model(LINEAR, given, most_effects=0)
+    said = "no visible effect on it" in " ".join(found.remarks)
+    assert (found.verdict == "unexplained_structure", said) == (share == 0.0,) * 2
+
+
 def test_a_bound_in_the_way_is_no_missing_effect() -> None:
     """The model is complete, but the true stiffness is beyond the user's bound."""
     tight = {**LINEAR.params, "k": P(0.5, 0.1, 0.9, "1/s^2")}
@@ -114,7 +118,7 @@ def test_a_bound_in_the_way_is_no_missing_effect() -> None:
 
 def test_a_drive_that_slews_is_no_firm_lag() -> None:
     """No name of the catalogue is a limit of a rate, and what comes nearest stays in doubt."""
-    runs = [oscillator(seed, n, 0.0, slew=0.8) for seed, n in ((45, 1200), (95, 600))]
+    runs = (oscillator(seed, n, 0.0, slew=0.8) for seed, n in ((45, 1200), (95, 600)))
     found = diagnose_model(LINEAR, *runs)
     assert (firm(found), found.verdict == "nothing_missing") == ([], False)
 
@@ -125,18 +129,14 @@ def test_a_friction_that_does_not_jump_is_not_coulombs() -> None:
 
 
 MOTOR = Model(
-    name="motor",
-    states={"i": "A", "w": "rad/s"},
-    inputs={"V": "V"},
-    outputs={"y": "rad/s"},
+    name="motor", states={"i": "A", "w": "rad/s"}, inputs={"V": "V"}, outputs={"y": "rad/s"},
     params={
-        "Te": P(0.02, 0.002, 0.2, "s"),
-        "Tm": P(0.1, 0.01, 1.0, "s"),
+        "Te": P(0.02, 0.002, 0.2, "s"), "Tm": P(0.1, 0.01, 1.0, "s"),
         "K": P(5.0, 0.5, 50.0, "rad/s/V"),
     },
     rhs=lambda t, x, u, p: ((p.K * u.V - x.i) / p.Te, (x.i - x.w) / p.Tm),
     output=lambda t, x, u, p: x.w,
-)
+)  # fmt: skip
 
 
 def motor(seed: int, n: int, wanted: list[float], rows: int, late: float, every: int) -> Experiment:
