@@ -19,8 +19,9 @@ from comparisons.missing_effect.systems.places import Place, Placed
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.roles import against_storing, displacements, rates, rates_of
 from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
-from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.shapes import Kind, Map
 from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.system import is_exceeded
 from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.errors import InputError
 
@@ -121,6 +122,21 @@ def test_a_loop_of_any_shape_is_found(ratio: float) -> None:
     assert np.std(whole.errors[0]) < 1.1 * 0.002 * np.std(run.outputs)
 
 
+@pytest.mark.parametrize("clipped", [True, False])
+def test_readings_beyond_a_limit_of_the_sensor_rule_it_out(clipped: bool) -> None:
+    made = truth.body(5, 800, noise=0.0)
+    limit, rng = 0.6 * float(np.max(made["q"])), np.random.default_rng(2)
+    read = np.minimum(made["q"], limit) if clipped else made["q"]
+    noisy = read + 0.01 * limit * rng.standard_normal(800)
+    model, scales = make.body(), (1.0, limit, 1.0)
+    placed = make.placed("saturation", Kind.OUTPUT_MAP, 0, scales=scales, code=Map.UPPER)
+    structure = Structure(model, (placed,), "cubic", 1e-6, offsets_free=False)
+    run = make.runs_on(model, [make.experiment("body", {**made, "q": noisy})])[0]
+    theta = np.array([*BODY, 0.0, 1.0, 0.0, 0.0, 0.0])
+    fit = replace(make.fitted(structure, [run], theta), theta=theta)
+    assert is_exceeded(fit, placed, [run]) is not clipped
+
+
 def test_the_exponent_of_a_sensor_that_is_blind_to_the_sign_is_found() -> None:
     model = make.body(
         params={**make.body().params, "gain": P(1.0, 0.01, 100.0, "1")},
@@ -156,23 +172,17 @@ def test_a_sensor_may_be_blind_only_to_a_sign_that_the_model_changes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "label", "unit", "written"),
+    ("power", "label", "unit", "written"),
     [
-        ("open_product", "open_product(at·speed) in dspeed/dt", "N·s/m²", "at·speed"),
-        (
-            "open_square_product",
-            "open_square_product(at²·speed) in dspeed/dt",
-            "N·s/m³",
-            "at^2 speed",
-        ),
+        (1, "open_product(at·speed) in dspeed/dt", "N·s/m²", "at·speed"),
+        (2, "open_square_product(at²·speed) in dspeed/dt", "N·s/m³", "at^2 speed"),
     ],
 )
 def test_a_product_is_found_with_its_coefficient(
-    name: str, label: str, unit: str, written: str
+    power: int, label: str, unit: str, written: str
 ) -> None:
     """As one of the terms without a name, and as a term of one's own."""
     amount = 4.0
-    power = 2 if "square" in name else 1
     model, run = body_with(lambda t, q, v: -amount * q**power * v, n=1500)
     fit = bare_fit(model, run)
     best = probed(fit, run, OPEN_TERMS)[0].placed
@@ -225,9 +235,6 @@ def test_a_term_of_ones_own_may_be_a_function_of_anything() -> None:
 def test_what_is_no_term_is_refused(written: str) -> None:
     with pytest.raises(InputError, match=r"library: .*what is no such term"):
         open_effect(written)
-
-
-def test_a_term_of_a_signal_that_a_model_has_not_is_refused() -> None:
     model, run = body_with(lambda t, q, v: 0.0, n=200)
     with pytest.raises(InputError, match="expected at, speed, F, M, c, k, found 'w'"):
         placed_effects(bare_fit(model, run), [run], [open_effect("at w")])

@@ -150,15 +150,14 @@ def test_what_is_fitted_already_promises_nothing(bare: tuple[Structure, Run, lis
     """A spring and a damper are parameters: as open terms they say nothing, whatever is missing."""
     structure, run, probes = bare
     cubic = next(p for p in probes if p.placed.name == "cubic_stiffness")
-    _, found = placed_on(structure, made_with(structure, run, cubic, (-0.05,)))
+    made = made_with(structure, run, cubic, (-0.05,))
+    fit, found = placed_on(structure, made)
     terms = [p for p in found if p.placed.name == "open_linear" and p.placed.place.at == 1]
     assert all(p.gain < 0.05 * found[0].gain / 10.0 for p in terms)
-    fit, others = placed_on(structure, made_with(structure, run, cubic, (-0.05,)))
     extended = structure.with_effect(cubic.placed)
-    made = made_with(structure, run, cubic, (-0.05,))
     complete = make.fitted(extended, [made], np.concatenate([PARAMETERS, [-0.05, 0, 0, 0]]))
     effects, _ = placed_effects(complete, [made], SYSTEM_CATALOGUE)
     assert cubic.placed.key not in {e.key for e in effects}
     left = Prober(complete, [made], effects).in_metric(raw_metric([made.outputs])).best()
-    assert left[0].gain < 12.0 < others[0].gain
+    assert left[0].gain < 12.0 < found[0].gain
     assert fit.cost > complete.cost
