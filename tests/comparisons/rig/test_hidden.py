@@ -68,7 +68,7 @@ def in_stall(run: RigRun) -> Array:
 
 @pytest.mark.parametrize("name", ["flow_inertia", "facility_heating", "bias_drift", "hysteresis"])
 def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) -> None:
-    plain, neutral = rig_run("985", duration_s=0.6), UNTOUCHED[name]
+    neutral = UNTOUCHED[name]
     # Digits that no channel shows by chance.
     size = neutral + 0.437_291 * (HIDEABLE[name].default - neutral)
     run = simulate("985", duration_s=0.6, hide=name, hide_size=size)
@@ -79,17 +79,10 @@ def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) 
     said = f"{run.raw.source} {run.raw.history} {dict(run.test)}".lower()
     words = [name, name.replace("_", " "), "hid", "effect", "alter", repr(size), f"{size:.5g}"]
     for word in words:
-        assert word not in written, word
-        assert word not in said, word
+        assert word not in written + said, word
     with (tmp_path / "run" / "truth" / "truth.toml").open("rb") as file:
         hidden = tomllib.load(file)["hidden"]
     assert (hidden["effect"], hidden["size"]) == (name, size)
-    # test.toml describes the rig as it always does.
-    changed = [key for key in plain.test if run.test[key] != plain.test[key]]
-    if name == "flow_inertia":
-        assert changed == ["compressor"]
-    else:
-        assert changed == (["near_stall"] if name == "facility_heating" else [])
 
 
 @pytest.mark.parametrize("name", IN_THE_SENSORS)

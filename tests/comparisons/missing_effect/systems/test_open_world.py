@@ -333,10 +333,7 @@ def firm(found: SystemDiagnosis) -> list[str]:
 @needs_measured
 @pytest.mark.parametrize("step", [1e-6, 1.3e-6])
 def test_the_tanks_overflow(step: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The upper tank spills into the lower one: first and firm, and no sensor is blamed.
-
-    Rounding does not decide it: at 1.01e-6 and 1.5e-6 nothing was named.
-    """
+    """The upper tank spills into the lower one, firm, whatever the rounding: no sensor does it."""
     monkeypatch.setattr(linearised, "RELATIVE_STEP", step)
     found = diagnosed("tanks")
     assert firm(found)[0] == "overflow(h1) in h1 into h2"

@@ -125,13 +125,13 @@ def test_a_loop_of_any_shape_is_found(ratio: float) -> None:
 @pytest.mark.parametrize("clipped", [True, False])
 def test_readings_beyond_a_limit_of_the_sensor_rule_it_out(clipped: bool) -> None:
     made = truth.body(5, 800, noise=0.0)
-    limit, rng = 0.6 * float(np.max(made["q"])), np.random.default_rng(2)
-    read = np.minimum(made["q"], limit) if clipped else made["q"]
-    noisy = read + 0.01 * limit * rng.standard_normal(800)
-    model, scales = make.body(), (1.0, limit, 1.0)
+    limit = 0.6 * float(np.max(made["q"]))
+    read = np.minimum(made["q"], limit if clipped else np.inf)
+    read += 0.01 * limit * np.random.default_rng(2).standard_normal(800)
+    scales = (1.0, limit, 1.0)
     placed = make.placed("saturation", Kind.OUTPUT_MAP, 0, scales=scales, code=Map.UPPER)
-    structure = Structure(model, (placed,), "cubic", 1e-6, offsets_free=False)
-    run = make.runs_on(model, [make.experiment("body", {**made, "q": noisy})])[0]
+    structure = Structure(make.body(), (placed,), "cubic", 1e-6, offsets_free=False)
+    run = make.runs_on(make.body(), [make.experiment("body", {**made, "q": read})])[0]
     theta = np.array([*BODY, 0.0, 1.0, 0.0, 0.0, 0.0])
     fit = replace(make.fitted(structure, [run], theta), theta=theta)
     assert is_exceeded(fit, placed, [run]) is not clipped

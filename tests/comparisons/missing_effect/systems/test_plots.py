@@ -12,7 +12,6 @@ from made_diagnosis import made_diagnosis as made_lag
 from made_systems import made_diagnosis
 
 from comparisons.missing_effect.plots import draw_diagnosis
-from comparisons.missing_effect.quantities import scale_of
 from comparisons.missing_effect.results import Diagnosis
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 
@@ -37,9 +36,3 @@ KINDS: dict[str, Callable[[], Diagnosis]] = {
 def test_every_diagnosis_is_drawn(kind: str) -> None:
     d = KINDS[kind]()
     draw_diagnosis(d).savefig(io.BytesIO(), format="png")
-
-
-def test_small_numbers_are_given_in_a_unit_that_reads_well() -> None:
-    said = {("m", 0.0123): "12.3 mm", ("m²", 0.02): "0.0200 m²", ("kN", 2e-5): "20.0·10⁻⁶ kN"}
-    said[("1", 3e-4)] = "0.300·10⁻³"
-    assert {(u, x): scale_of(u, [x, float("nan")]).text(x) for u, x in said} == said
