@@ -94,10 +94,12 @@ def _to_the_end(bench: Bench, lane: Bench, probes: Sequence[Probe]) -> dict[Prob
         return {}
     own = {p: metric_of(f.errors).log_likelihood(f.errors) for p, f in begun.items()}
     ahead: list[Probe] = []
+    # On long records each costs minutes.
+    most = FINALISTS if lane is bench else FINALISTS // 2
     for unnamed in (False, True):
         group = [p for p in begun if p.unnamed == unnamed]
-        by_size = _first(sorted(group, key=lambda p: begun[p].cost))
-        by_own = _first(sorted(group, key=lambda p: -own[p]))
+        by_size = _first(sorted(group, key=lambda p: begun[p].cost), most)
+        by_own = _first(sorted(group, key=lambda p: -own[p]), most)
         ahead += [p for p in group if p in by_size or p in by_own]
     forms = {(p.placed.name, p.placed.place) for p in ahead}
     ahead += [p for p in begun if p not in ahead and _plain_forms(p) & forms]
@@ -107,13 +109,13 @@ def _to_the_end(bench: Bench, lane: Bench, probes: Sequence[Probe]) -> dict[Prob
     }
 
 
-def _first(ranked: Sequence[Probe]) -> list[Probe]:
+def _first(ranked: Sequence[Probe], most: int) -> list[Probe]:
     """Return the first few; overflows of one vessel into others, which fit alike, count once."""
     kinds = [
         (Kind.OVERFLOW, p.placed.place.at) if p.placed.effect.kind == Kind.OVERFLOW else p
         for p in ranked
     ]
-    few = list(dict.fromkeys(kinds))[:FINALISTS]
+    few = list(dict.fromkeys(kinds))[:most]
     return [p for p, kind in zip(ranked, kinds, strict=True) if kind in few]
 
 
