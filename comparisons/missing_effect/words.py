@@ -136,7 +136,7 @@ def verdict_sentence(d: Diagnosis) -> str:
         each.append(f"{'the ' * plain}{_named(item)}{first}{_together(item)}")
     lacks = _LACKS.get(d.verdict, "lacks")
     if all(np.all(run.worse) for run in d.proof):
-        lacks = "asks on the rows fitted, and on no check record, for"
+        lacks = "asks on the rows fitted, and on no others, for"
     lead = f"{d.subject} {lacks} {_listed(each)}"
     if d.acts_unscored:
         return f"{lead}."

@@ -228,7 +228,8 @@ def _concluded(
             checked = runs
             break
         last = (*effects, *idle)[-1]
-        gone[last] = "with it the model runs away" if wild else "its number is 0 within its error"
+        why = "with it the model runs away, or all rows fit worse"
+        gone[last] = why if wild else "its number is 0 within its error"
         theta = np.delete(bench.fit.theta, structure.slots_of(last))
         bench = bench.refitted(structure.without(last), theta)
     else:
