@@ -92,6 +92,12 @@ class Bench:
         """The raw metric."""
         return raw_metric([run.outputs for run in self.train])
 
+    @property
+    def late(self) -> list[int]:
+        """Inputs whose timing offset ends at its limit, in either metric."""
+        ends = [f.theta[f.structure.offsets] for f in (self.fit, self.white) if f is not None]
+        return np.flatnonzero(np.max(ends, axis=0) >= MOST_OFFSET).tolist()
+
     def raced(self) -> Self:
         """Return the bench with windows spread over the fitted rows, where those are many.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,8 +39,8 @@ REPEATS, STEPS = 20, 3
 BLOCK_ROWS = 20
 
 
-def promising(raw: Answers, white: Answers) -> list[Probe]:
-    """Return the most promising of both metrics, each place once, and every bent shape."""
+def promising(raw: Answers, white: Answers, late: Collection[int]) -> list[Probe]:
+    """Return the most promising of both metrics, each place once, and what always races."""
     kept: dict[object, Probe] = {}
     for answers in (white, raw):
         probes = answers.best()
@@ -54,8 +54,9 @@ def promising(raw: Answers, white: Answers) -> list[Probe]:
             kept.setdefault(probe.key, probe)
     for probe in white.best():
         effect = probe.placed.effect
-        # A weak filter through which all was recorded is a delay, which cannot be seen.
-        if (effect.kind in BENT and not effect.linear) or effect.kind is Kind.RECORDING:
+        # A weak filter through which all was recorded is a delay, as is an offset at its end.
+        bent = (effect.kind in BENT and not effect.linear) or effect.kind is Kind.RECORDING
+        if bent or (effect.kind is Kind.INPUT_DELAY and probe.placed.place.at in late):
             kept.setdefault(probe.key, probe)
     # The plain form of whatever is promising races beside it, and each half of a pair alone.
     wanted = {(e.name, e.place) for p in kept.values() for e in p.added}

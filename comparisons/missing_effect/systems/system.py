@@ -18,6 +18,7 @@ from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.quantities import covariance
 from comparisons.missing_effect.systems.race import (
     FLIP_SEED,
     favoured_metric,
@@ -114,7 +115,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         placed, refused = placed_effects(fit, self.train, [*effects, *library])
         prober = Prober(fit, self.train, placed)
         raw, white = prober.in_metric(self.raw), prober.in_metric(metric_of(fit.errors))
-        fits = raced(self, promising(raw, white), white, raw)
+        fits = raced(self, promising(raw, white, self.late), white, raw)
         metric, rng = favoured_metric(self, list(fits.values())), np.random.default_rng(FLIP_SEED)
         chances = prober.in_metric(metric).chance(rng), raw.chance(rng)
         tried = [
@@ -174,7 +175,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         """Say of a candidate whether it vanished or grows, and what it wins in plain errors."""
         raw = candidate.onward
         wild = raw is not None and self.growth_of(raw) > self.growth + MOST_GROWTH
-        ended = wild or any(_vanished(candidate, i) for i in range(len(candidate.added)))
+        ended = wild or any(self._vanished(candidate, i) for i in range(len(candidate.added)))
         ended |= any(is_exceeded(candidate.fit, one, self.train) for one in candidate.added)
         evidence = replace(candidate.evidence, chance=self.chances[0], at_end=ended)
         return replace(
@@ -183,6 +184,22 @@ class ModelSystem(Bench, System[Placed, Fit]):
             slow=self._slow(raw, len(candidate.added)),
             outgrown=_outgrown(candidate),
         )
+
+    def _vanished(self, candidate: ModelCandidate, which: int) -> bool:
+        """Tell whether a first number ended at the bound where it is no effect any more.
+
+        A lag or a delay of one sample is the timing offset that every model has, and so is a play
+        within its error of nothing, which follows its input late.
+        """
+        effect, fit = candidate.added[which].effect, candidate.fit
+        at = fit.theta.size + SLOTS * (which - len(candidate.added))
+        value = float(fit.theta[at])
+        if effect.kind not in VANISHING:
+            return bool(effect.numbers) and effect.linear and value == 0.0
+        least = effect.numbers[0].low * (1.0 + 1e-6)
+        if effect.kind == Kind.INPUT_PLAY and value > least:
+            least = float(np.sqrt(covariance(fit, self.train, self.colour)[at, at]))
+        return value <= least
 
     def with_winner(self, step: ModelRound) -> Self:
         """Return the model with what a round found, its inputs laid between samples again."""
@@ -330,20 +347,6 @@ class ModelSystem(Bench, System[Placed, Fit]):
         total = sum(p.size for p in part)
         block = max(LEAST_BLOCK_ROWS, total // BLOCKS)
         return Rows.of(np.tile(np.concatenate(part), n_y), np.concatenate(valid).T.ravel(), block)
-
-
-def _vanished(candidate: ModelCandidate, which: int) -> bool:
-    """Tell whether a first number ended at the bound where it is no effect any more.
-
-    A lag or a delay of one sample is the timing offset that every model has.
-    """
-    effect = candidate.added[which].effect
-    if not effect.numbers:
-        return False
-    value = float(candidate.fit.theta[SLOTS * (which - len(candidate.added))])
-    if effect.linear:
-        return value == 0.0
-    return effect.kind in VANISHING and value <= effect.numbers[0].low * (1.0 + 1e-6)
 
 
 def is_exceeded(fit: Fit, placed: Placed, runs: Sequence[Run]) -> bool:

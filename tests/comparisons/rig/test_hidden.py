@@ -68,9 +68,7 @@ def in_stall(run: RigRun) -> Array:
 
 @pytest.mark.parametrize("name", ["flow_inertia", "facility_heating", "bias_drift", "hysteresis"])
 def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) -> None:
-    neutral = UNTOUCHED[name]
-    # Digits that no channel shows by chance.
-    size = neutral + 0.437_291 * (HIDEABLE[name].default - neutral)
+    size = UNTOUCHED[name] + 0.437_291 * (HIDEABLE[name].default - UNTOUCHED[name])
     run = simulate("985", duration_s=0.6, hide=name, hide_size=size)
     write_run(run, tmp_path / "run")
     files = [path for path in (tmp_path / "run").iterdir() if path.is_file()]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, lsim
 from shared_data import MEASURED, SHARED, needs_measured
 
@@ -169,6 +170,22 @@ def test_what_is_held_between_rows_is_no_lag(case: str) -> None:
         assert abs(row.after - truth) < 4.0 * row.after_stderr < 0.05 * truth
     for delay in (n for item in found.missing for n in item.parameters):
         assert abs(delay.value - 0.016) < 4.0 * delay.stderr < 0.0016
+
+
+def test_a_delay_beyond_what_an_offset_says_is_named() -> None:
+    """Two rows: an offset of one and a term without a name were said in its place."""
+
+    def smooth(seed: int, n: int) -> Experiment:
+        rng = np.random.default_rng(seed)
+        drive = 40.0 * gaussian_filter1d(rng.standard_normal(20 * n + 40), 40)
+        system = [3e4], np.polymul([1.0, 50.0], [1.0, 100.0])
+        w = lsim(system, drive[: 20 * n], np.arange(20 * n) * 0.0005)[1][::20]
+        w += 0.03 * np.std(w) * rng.standard_normal(n)
+        return Experiment(f"run {seed}", 0.01, {"V": drive[40::20], "y": w})
+
+    (item,) = diagnose_model(MOTOR, smooth(1, 300), smooth(2, 150)).missing
+    assert (item.label, item.provisional) == ("transport_delay(V) in V", False)
+    assert abs(item.parameters[0].value - 0.02) < 3.0 * item.parameters[0].stderr < 0.015
 
 
 def plate(seed: int, n: int) -> Experiment:

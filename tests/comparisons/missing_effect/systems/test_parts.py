@@ -128,8 +128,8 @@ def test_readings_beyond_a_limit_of_the_sensor_rule_it_out(clipped: bool) -> Non
     limit = 0.6 * float(np.max(made["q"]))
     read = np.minimum(made["q"], limit if clipped else np.inf)
     read += 0.01 * limit * np.random.default_rng(2).standard_normal(800)
-    scales = (1.0, limit, 1.0)
-    placed = make.placed("saturation", Kind.OUTPUT_MAP, 0, scales=scales, code=Map.UPPER)
+    kind, scales = Kind.OUTPUT_MAP, (1.0, limit, 1.0)
+    placed = make.placed("saturation", kind, 0, scales=scales, code=Map.UPPER)
     structure = Structure(make.body(), (placed,), "cubic", 1e-6, offsets_free=False)
     run = make.runs_on(make.body(), [make.experiment("body", {**made, "q": read})])[0]
     theta = np.array([*BODY, 0.0, 1.0, 0.0, 0.0, 0.0])

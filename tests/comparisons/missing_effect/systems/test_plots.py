@@ -28,7 +28,6 @@ KINDS: dict[str, Callable[[], Diagnosis]] = {
     "nothing": lambda: made_diagnosis(nothing=True),
     "text that is no formula": lambda: made_diagnosis(runs={"p$25": "training", "$": "check"}),
     "ran away": ran_away,
-    "no round": lambda: replace(made_diagnosis(nothing=True), rounds=(), checks=(), floor=()),
 }
 
 
