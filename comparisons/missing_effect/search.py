@@ -75,8 +75,9 @@ def search_round(
     winner, aliases, rivalled = _winner(bench, ranked, order)
     left = bench.leftover(winner, effects, library)
     pairs: tuple[Candidate[A, F], ...] = ()
-    # Two effects may hide each other.
-    if room > 1 and (winner is None if left is None else left.structured):
+    # Two effects may hide each other: at the start, where what is left is tested at the end.
+    alone = winner is None and not system.found
+    if room > 1 and (alone if left is None else left.structured):
         pairs = bench.ranked(_pairs(bench, ranked, effects))
         best = next((pair for pair in pairs if pair.accepted), None)
         if best is None and winner is None:
