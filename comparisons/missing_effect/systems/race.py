@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
@@ -25,8 +24,6 @@ BENT = (Kind.INPUT_MAP, Kind.STATE_LIMIT, Kind.OVERFLOW, Kind.OUTPUT_MAP, Kind.I
 # Candidates that are fitted: the most promising of each metric, as long as they promise a
 # hundredth of the best and more than chance; and pairs.
 MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
-# A name leads that wins this share of what the best wins, as a rival does.
-LEADING_SHARE = 0.8
 # Steps from each of several starts, steps of the first lap, those that go on by either count, and
 # steps to the end.
 HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 8, 15
@@ -67,28 +64,12 @@ def promising(raw: Answers, white: Answers, late: Collection[int]) -> list[Probe
     return list(kept.values())
 
 
-def raced(bench: Bench, probes: Sequence[Probe], *promised: Answers) -> dict[Probe, Fit]:
-    """Race what is promising, and then terms that ``promised`` more than a name that leads.
-
-    Terms without a name, in either metric: a saturation that promised 16 log-units won 689 and was
-    named, where a term that promised 23 left less, and had not been fitted.
-    """
-    lane = bench.raced()
-    fits = _to_the_end(bench, lane, probes)
-    won = {p.key: bench.fit.cost - fit.cost for p, fit in fits.items() if not p.unnamed}
-    least = max(RIVALLED, LEADING_SHARE * max(won.values(), default=0.0))
-    known, more = {p.key for p in probes}, dict[object, Probe]()
-    for ranked in (answers.best() for answers in promised):
-        last = max((at for at, p in enumerate(ranked) if won.get(p.key, 0.0) > least), default=0)
-        more |= {p.key: p for p in [p for p in ranked[:last] if p.unnamed][:MOST_FITTED]}
-    return fits | _to_the_end(bench, lane, [p for p in more.values() if p.key not in known])
-
-
-def _to_the_end(bench: Bench, lane: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
+def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     """Fit a few steps each in the raw metric, and to the end those that are ahead by then.
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
     """
+    lane = bench.raced()
     begun = {probe: _begun(lane, probe) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:

@@ -115,7 +115,7 @@ class ModelSystem(Bench, System[Placed, Fit]):
         placed, refused = placed_effects(fit, self.train, [*effects, *library])
         prober = Prober(fit, self.train, placed)
         raw, white = prober.in_metric(self.raw), prober.in_metric(metric_of(fit.errors))
-        fits = raced(self, promising(raw, white, self.late), white, raw)
+        fits = raced(self, promising(raw, white, self.late))
         metric, rng = favoured_metric(self, list(fits.values())), np.random.default_rng(FLIP_SEED)
         chances = prober.in_metric(metric).chance(rng), raw.chance(rng)
         tried = [
@@ -298,14 +298,9 @@ class ModelSystem(Bench, System[Placed, Fit]):
 
     @cached_property
     def _plain(self) -> tuple[Metric, Rows, FloatArray]:
-        """The raw metric with the size of the model's errors, its rows, and those errors.
-
-        What the timing offsets of plain errors win alone, no candidate does.
-        """
-        free = replace(self.fit, structure=replace(self.fit.structure, offsets_free=True))
-        timed = free.again(self.train, self.raw)
-        plain = self.raw.with_size_of(timed.errors)
-        return plain, self._rows(plain), self._errors(plain, timed)
+        """The raw metric with the size of the model's errors, its rows, and those errors."""
+        plain = self.raw.with_size_of(self.fit.errors)
+        return plain, self._rows(plain), self._errors(plain, self.fit)
 
     def _slow(self, raw: Fit | None, effects: int) -> float:
         """Return the log-units that effects win in plain errors; 0 where chance wins as much.
