@@ -408,14 +408,16 @@ def _beyond_words(beyond: Mapping[str, str]) -> list[str]:
 
 def _clock_words(offsets: Sequence[FittedParameter], fit: Fit) -> list[str]:
     """Say of which inputs the clock is off: early by more than a hold explains, or at an end."""
-    out, end = [], f"rows against {', '.join(fit.structure.model.outputs)}: check the clocks."
+    out, end = [], f"against {', '.join(fit.structure.model.outputs)}: check the clocks."
     for one in offsets:
         at_end = one.value in (-fit.structure.earliest, MOST_OFFSET)
         least = abs(one.value) - FIRM_ERRORS * one.stderr
         if least > HALF_SAMPLE * (not at_end) and (at_end or one.value < 0.0):
-            rows = round_to_error(abs(one.value), 0.0 if at_end else one.stderr)
-            late = f"{'is recorded' if one.value < 0.0 else 'acts'} late by {'at least ' * at_end}"
-            out.append(f"The input {one.name} {late}{rows} {end}")
+            rows = f"{round_to_error(abs(one.value), one.stderr)} rows"
+            if at_end:
+                rows = f"at least {abs(one.value):g} row{'s' * (abs(one.value) > 1.0)}"
+            late = "is recorded late" if one.value < 0.0 else "acts late"
+            out.append(f"The input {one.name} {late} by {rows} {end}")
     return out
 
 

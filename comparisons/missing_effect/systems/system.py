@@ -42,6 +42,7 @@ RIVAL_SHARE = 0.8
 MOST_GROWTH = 3.0
 # Where what speaks for an effect falls short, if it does by the scatter of its blocks alone.
 HELD_OUT_BLOCKS = ("held-out blocks",)
+# Names behind which a second is looked for: each costs a race.
 MOST_HEADS = 2
 # Whitened error of a run that ran away.
 RAN_AWAY = 1e3

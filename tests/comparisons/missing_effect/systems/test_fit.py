@@ -9,6 +9,7 @@ import pytest
 import system_models as make
 import system_truths as truth
 
+from comparisons.missing_effect.systems import quantities
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import fit_runs, settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
@@ -98,6 +99,7 @@ def test_the_number_of_an_effect_and_its_error_are_right() -> None:
         number = numbers_of(fit, effect, cov, run.clock)[0]
         assert number.unit == "N·s²/m²"
         assert number.stderr < 0.08
+        assert [quantities.is_nothing(fit, effect, k * cov) for k in (1, 1e4)] == [False, True]
         # The catalogue's sign is that of the model's right-hand side.
         z.append((abs(number.value) - 0.4) / number.stderr)
     assert np.all(np.abs(z) < 4.0), z
