@@ -18,7 +18,7 @@ from classic_ml.record_reading import RecordReading
 from classic_ml.whole_record.branches import BranchFit, FreeRun, specifications
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import RakeSignals
-from classic_ml.whole_record.stall_state import state_by_levels
+from classic_ml.whole_record.stall_state import INDEPENDENT_S, state_by_levels
 from surge_core.fit_state import FitState
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
@@ -63,14 +63,30 @@ def jackknife(reading: RecordReading, fit: BranchFit) -> Scatter:
 
 
 def variants(reading: RecordReading, fit: BranchFit) -> Scatter:
-    """Fit under other specifications, and with the state as hub and tip alone show it."""
+    """Fit under other specifications, and with the state as hub and tip alone show it.
+
+    A curve without a hinge that the record rejects could not as well have been taken for granted.
+    """
     others = [replace(reading, spec=spec) for spec in specifications(reading.spec)]
     others.append(reading.by_hub_and_tip())
-    fits = [other.fit(near_s=fit.tau_s) for other in others]
+    tried = [(other, other.fit(near_s=fit.tau_s)) for other in others]
+    kept = [
+        each for each in tried if each[0].spec.hinges or not _is_rejected(reading, fit, each[1])
+    ]
+    fits = [one for _, one in kept]
     degree = reading.spec.degree
-    alike = [one for one, other in zip(fits, others, strict=True) if other.spec.degree == degree]
+    alike = [one for other, one in kept if other.spec.degree == degree]
     tau = scatter_of([fit, *fits], fit, 0, 1.0)
     return replace(tau, curve=scatter_of([fit, *alike], fit, degree, 1.0).curve)
+
+
+def _is_rejected(reading: RecordReading, fit: BranchFit, smaller: BranchFit) -> bool:
+    """Return whether the likelihood ratio rejects a fit with fewer columns at 1 %."""
+    from scipy.stats import chi2
+
+    n = fit.errors.size * reading.passes.sample_period_s / INDEPENDENT_S
+    fewer = fit.coefficients.size - smaller.coefficients.size
+    return bool(fewer > 0 and n * math.log(smaller.cost / fit.cost) > chi2.ppf(0.99, fewer))
 
 
 def law_of_probes(reading: RecordReading, fit: BranchFit) -> float:

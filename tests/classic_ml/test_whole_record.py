@@ -20,8 +20,8 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import Specification, fit_branches
 from classic_ml.whole_record.passes import Passes, cell_frequency_hz, passes_of, without_cells
 from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
-from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
-from classic_ml.whole_record_fit import fit_whole_record, jackknife, with_stored_gas
+from classic_ml.whole_record.stall_state import StallLevels, estimated_state, state_by_levels
+from classic_ml.whole_record_fit import fit_whole_record, jackknife, variants, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, _curve_at, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings
@@ -92,6 +92,32 @@ def test_without_noise_both_branches_give_the_truth(tau_s: float) -> None:
     fit = fit_branches(passes, SPEC, passes.in_stall)
     assert fit.tau_s == pytest.approx(tau_s, rel=1e-3)
     assert fit.coefficients[:3] == pytest.approx([1.2, 3.0, 47.0], rel=5e-3)
+
+
+def test_the_top_of_a_loop_in_stall_is_no_recovery() -> None:
+    passes = made()
+    phi, shown = passes.phi, np.ones(4000, dtype=np.bool_)
+    shown[500:3000:600] = False
+    curve = 1.2 + 3.0 * phi + 47.0 * phi**2 - 8.0 * np.maximum(phi - 0.15, 0.0)
+    psi_p = FirstOrderLag(TAU_S, PERIOD_S, "first").respond(curve, np.array(1.5))
+    unseen = replace(passes, psi_p=psi_p, in_stall=shown)
+    assert estimated_state(unseen, SPEC)[1] is not None
+    shift = 0.1 * np.random.default_rng(0).standard_normal(4000)
+    state, levels = estimated_state(replace(unseen, shift=shift), SPEC)
+    assert levels is None
+    assert np.array_equal(state, shown)
+
+
+def test_a_curve_that_the_record_rejects_does_not_widen_the_interval(signals: RakeSignals) -> None:
+    passes = made(noise=0.02)
+    bend = np.where(passes.in_stall, 300.0 * np.maximum(passes.phi - 0.15, 0.0), 0.0)
+    bent = FirstOrderLag(TAU_S, PERIOD_S, "first").respond(bend, np.array(0.0))
+    passes = replace(passes, psi_p=passes.psi_p + bent)
+    reading = RecordReading(signals, None, passes, SPEC, passes.in_stall, None)
+    fit, straight = (replace(reading, spec=replace(SPEC, hinges=h)).fit() for h in (True, False))
+    apart = abs(math.log(straight.tau_s / fit.tau_s))
+    assert abs(math.log(fit.tau_s / TAU_S)) < 0.02 < apart
+    assert variants(reading, fit).log_tau < 0.2 * apart
 
 
 @pytest.mark.parametrize("cycles", ["alike", "one knows τ"])
