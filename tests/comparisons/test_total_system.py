@@ -29,10 +29,6 @@ GAS, GAMMA = 287.05, 1.4
 PHI = np.array([0.0, 0.05, 0.1, 0.15])
 
 
-def true_curve(case: str) -> FloatArray:
-    return np.asarray(np.polynomial.polynomial.polyval(PHI, CASES[case].pressure_terms))
-
-
 def surge(rows_per_step: int = 1) -> dict[str, FloatArray]:
     """A surge at rows of 0.2 ms, integrated in steps of that or of a share of it."""
     model = model_of("985", start_s=0.3)
@@ -98,7 +94,8 @@ def test_multiple_shooting_recovers_the_truth_from_ideal_sensors(case: str) -> N
     fit = fit_total_system(signals(case), settings(case, window_s=(1.3, 1.95)))
     assert fit.state is TotalSystemState.CONVERGED
     assert fit.tau_s == pytest.approx(TRUE_TAU_S, rel=0.01)
-    assert np.max(np.abs(fit.quasi_steady(PHI) - true_curve(case))) < 0.025
+    true = np.polynomial.polynomial.polyval(PHI, CASES[case].pressure_terms)
+    assert np.max(np.abs(fit.quasi_steady(PHI) - true)) < 0.025
     assert 0.0 < fit.tau_stderr_s < 1e-3
     assert fit.n_segments >= 6
 

@@ -59,10 +59,6 @@ def answer(effect: Effect, values: np.ndarray, data: LagData, amplitudes: float)
     return structure.output(data, nonlinear, coefficients)
 
 
-def base_answer(data: LagData) -> np.ndarray:
-    return Structure(CUBIC).output(data, np.array([np.log(TAU_S)]), BETA)
-
-
 def test_identifiers_are_those_of_the_study() -> None:
     assert {effect.name for effect in CATALOGUE} == set(EFFECTS)
     with pytest.raises(InputError, match=r"transport_delay.*rotating_stall_ripple.*'heat'"):
@@ -73,7 +69,7 @@ def test_identifiers_are_those_of_the_study() -> None:
 def test_amplitude_zero_is_the_model_without_it_and_a_visible_one_is_not(
     effect: Effect, data: LagData
 ) -> None:
-    plain = base_answer(data)
+    plain = Structure(CUBIC).output(data, np.array([np.log(TAU_S)]), BETA)
     for values in effect.starts(data) if not effect.linear else starts_of(effect, data):
         assert np.allclose(answer(effect, values, data, 0.0), plain, rtol=0.0, atol=1e-12)
     for values in starts_of(effect, data):

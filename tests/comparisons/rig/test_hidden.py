@@ -45,10 +45,6 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def correlation(one: Array, other: Array) -> float:
-    return float(np.corrcoef(one, other)[0, 1])
-
-
 def nominal_psi_p_qs(run: RigRun, case: str = "985") -> tuple[Array, Array]:
     """Return ψ'_QS as the case states it, in stall and blended, at the flows of a run."""
     plant, truth = CASES[case], run.truth
@@ -167,7 +163,7 @@ def test_wake_noise_is_on_the_flow_and_not_on_the_total_pressure() -> None:
     # Correlated over some two samples of 1 ms.
     assert np.std(noise[0]) == pytest.approx(0.4, rel=4.0 / np.sqrt(n))
     assert abs(np.mean(noise[0])) < 4.0 * 0.4 * np.sqrt(2.0 / n)
-    between = [abs(correlation(noise[1], noise[i])) for i in (2, 3)]
+    between = [abs(np.corrcoef(noise[1], noise[i])[0, 1]) for i in (2, 3)]
     assert max(between) < 6.0 * np.sqrt(2.0 / n)
 
 
