@@ -5,11 +5,11 @@ come from the folder in SINDY_SURGE_BENCHMARKS, or through nonlinear-benchmarks.
 looked at twice: with its controller, and from the control signal alone.
 """
 
+from measured_files import measured_file
 from scipy.io import loadmat
 
 from comparisons.missing_effect import Experiment, Model, P
 from comparisons.missing_effect.script import run_script
-from comparisons.missing_effect.systems.benchmark_data import benchmark_file
 
 FORCE_PER_VOLT = 35.150651882485
 POSITION_GAIN, VELOCITY_GAIN = 160.18, 243.45
@@ -63,7 +63,7 @@ open_loop = Model(
 
 
 def experiment(name: str, file: str) -> Experiment:
-    record = loadmat(benchmark_file("EMPS", file))
+    record = loadmat(measured_file("EMPS", file))
     columns = {"reference": "qg", "position": "qm", "control_signal": "vir", "pulses": "pulses_N"}
     channels = {
         channel: record[key].ravel() if key in record else 0.0 * record["qm"].ravel()

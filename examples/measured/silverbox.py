@@ -4,11 +4,11 @@ Run it as ``python examples/measured/silverbox.py --json numbers.json --report s
 the record comes from the folder in SINDY_SURGE_BENCHMARKS, or through nonlinear-benchmarks.
 """
 
+from measured_files import measured_file
 from scipy.io import loadmat
 
 from comparisons.missing_effect import Experiment, Model, P
 from comparisons.missing_effect.script import run_script
-from comparisons.missing_effect.systems.benchmark_data import benchmark_file
 
 PERIOD_S = 2**14 / 1e7
 
@@ -30,7 +30,7 @@ model = Model(
 
 
 def rows(name: str, start: int, stop: int) -> Experiment:
-    record = loadmat(benchmark_file("Silverbox", "SNLS80mV.mat"))
+    record = loadmat(measured_file("Silverbox", "SNLS80mV.mat"))
     channels = {"u": record["V1"][0, start:stop], "y": record["V2"][0, start:stop]}
     return Experiment(name, PERIOD_S, channels, settle=50)
 
