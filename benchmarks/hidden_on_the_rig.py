@@ -11,14 +11,13 @@ the record does not decide; neither; records with a wrong firm name, and which; 
 of those that are decided; median processor seconds.
 
     python benchmarks/hidden_on_the_rig.py --machines 24 --seed S [--jobs N] [--json FILE]
-    python benchmarks/hidden_on_the_rig.py --records "FOLDER/m*"
+    python benchmarks/hidden_on_the_rig.py --records FOLDER
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import glob
 import json
 import re
 import shutil
@@ -166,12 +165,12 @@ def main() -> None:
     add = parser.add_argument
     add("--machines", type=int, default=8, help="drawn at random")
     add("--seed", type=int, default=1)
-    add("--records", help="folders with raw.csv and test.toml")
+    add("--records", nargs="+", help="folders of raw.csv and test.toml")
     add("--jobs", type=int, default=2, help="records at a time")
     add("--json", type=Path, metavar="FILE", help="write the rows")
     add("--quick", action="store_true", help="one record, untouched and late")
     given = parser.parse_args()
-    sources = sorted(glob.glob(given.records)) if given.records else ["drawn"]
+    sources = random_machines.folders_of(given.records) if given.records else ["drawn"]
     numbers = range(1 if given.records or given.quick else given.machines)
     wanted = (None, "transport_delay") if given.quick else (None, *ALTERED)
     jobs = [(s, given.seed, number, h) for s in sources for number in numbers for h in wanted]

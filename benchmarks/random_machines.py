@@ -8,7 +8,7 @@ on log τ from the true signals. The column `band` adds up the share of φ at wh
 95 % interval holds the truth.
 
     python benchmarks/random_machines.py --machines 60 --seed S [--jobs N] [--json FILE]
-    python benchmarks/random_machines.py --records "FOLDER/m*"    # folders with truth.json
+    python benchmarks/random_machines.py --records FOLDER    # of records, each with truth.json
 
 With --shapes: does `sindy` leave the parabola where the in-stall curve is none, and only there? The
 bend acts in the plant, or is added to what is measured, behind the lag, so that the flow stays that
@@ -148,6 +148,13 @@ def drawn(number: int, seed: int, n_twins: int) -> dict[str, Any]:
         return answered(folder, draw(seed, number, folder), n_twins)
 
 
+def folders_of(named: list[str]) -> list[str]:
+    """Return the folders of records among those that are named, or one folder below."""
+    folders = [Path(match) for name in named for match in glob.glob(name)]
+    records = [raw for one in folders for raw in (*one.glob("raw.csv"), *one.glob("*/raw.csv"))]
+    return sorted(str(raw.parent) for raw in records)
+
+
 def found(folder: str, n_twins: int) -> dict[str, Any]:
     """Return what is read from the record in a folder."""
     truth = json.loads((Path(folder) / "truth.json").read_text("utf-8"))
@@ -271,7 +278,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--machines", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--records", help="folders with raw.csv, test.toml and truth.json")
+    parser.add_argument("--records", nargs="+", help="folders of raw.csv, test.toml, truth.json")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--no-twins", action="store_true")
     parser.add_argument("--quick", action="store_true", help="two machines, two twins")
@@ -293,7 +300,7 @@ def main() -> None:
             print(shapes_table(rows))
             return
         if given.records:
-            jobs = pool.map(partial(found, n_twins=n_twins), sorted(glob.glob(given.records)))
+            jobs = pool.map(partial(found, n_twins=n_twins), folders_of(given.records))
         else:
             one = partial(drawn, seed=given.seed, n_twins=n_twins)
             jobs = pool.map(one, range(2 if given.quick else given.machines))
