@@ -34,6 +34,7 @@ from comparisons.missing_effect.whole_runs import (
     plain_bench,
     rms_left,
 )
+from surge_core.errors import require
 from surge_core.types import FloatArray
 
 # Beyond so many times what twins leave, model error rules the errors, and a name may be another's.
@@ -54,12 +55,8 @@ MORE_STAYS = "more than half of what the model leaves beyond its twins stays"
 LEFT_OPEN = "with it the record leaves τ open by {:.0f} %, and what is read as it may be the lag"
 FEW_CYCLES = f"on the cycles left out it wins by fewer than {FIRM_Z:g} standard errors"
 REVERSED = "reverse_flow_branch"
-ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
 SECOND_PATTERN = "what a second pattern of stall cells leaves takes other names"
-BLIND = {
-    ONE_IMMERSION: "probes at hub and tip",
-    SECOND_PATTERN: "a record at a throttle or speed without the second pattern",
-}
+WITHOUT_PATTERN = "a record at a throttle or speed without the second pattern"
 BETTER_RECORDS = "or a record with loops in stall between the deep cycles, or at a higher rate"
 
 
@@ -72,10 +69,17 @@ def diagnose_whole_runs(
     n_twins: int,
     progress: Progress,
 ) -> LagDiagnosis:
-    """Find what the lag model of whole runs lacks."""
+    """Find what the lag model of whole runs lacks; one immersion is refused."""
     check_rates(records)
     ordered = sorted(records, key=lambda record: float(record.time_s[0]))
     readings = readings_of(ordered)
+    require(
+        all(one.passes.shift is not None for one in readings),
+        "records",
+        "probes at hub and tip, whose flows show when the machine is in stall",
+        "one immersion alone",
+        "add a probe pair at hub or tip",
+    )
     data = whole_data(ordered, readings)
     lines = [line for reading in readings if (line := ripple_line(reading)) is not None]
     line = max(lines, key=lambda one: one.height) if len(lines) == len(readings) else None
@@ -83,9 +87,7 @@ def diagnose_whole_runs(
     # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
-    why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
-    why = why or (SECOND_PATTERN if line else "")
-    effects, blind = ([], effects) if why else (effects, [])
+    effects, blind = ([], effects) if line else (effects, [])
     base = plain_bench(data, readings, terms, len(effects), block_rows(data))
     if n_twins and effects:
         leader = _of_leader(base, effects)
@@ -126,7 +128,7 @@ def diagnose_whole_runs(
     others = [e for e in (*effects, *blind) if e.name not in named]
     untold, absent = _decided(others, nulls)
     if blind:
-        untold = tuple(Untold(e.name, why, BLIND[why]) for e in others)
+        untold = tuple(Untold(e.name, SECOND_PATTERN, WITHOUT_PATTERN) for e in others)
     diagnosis = replace(
         diagnosis,
         verdict=verdict,

@@ -24,6 +24,7 @@ from classic_ml.whole_record.stall_state import StallLevels, estimated_state, st
 from classic_ml.whole_record_fit import fit_whole_record, jackknife, variants, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, _curve_at, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
+from comparisons.missing_effect import diagnose
 from comparisons.rig import CASES, SensorSettings
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -317,9 +318,12 @@ def test_with_one_rake_hub_and_tip_cancel_the_cells() -> None:
 
 
 def test_one_immersion_states_no_time_constant() -> None:
-    fit = fit_whole_records([without("immersion", "hub")])
+    series = without("immersion", "hub")
+    fit = fit_whole_records([series])
     assert fit.fit_state_.withholds
     assert math.isnan(fit.time_constant_s_)
+    with pytest.raises(InputError, match="one immersion alone"):
+        diagnose([series])
 
 
 def late(signals: RakeSignals, rows: int) -> RakeSignals:
