@@ -178,6 +178,13 @@ class SparseDynamics(BaseEstimator):
 
     # -- What was found ---------------------------------------------------------------------------
 
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:
+        try:
+            return str(super().__repr__(N_CHAR_MAX))
+        except AttributeError:
+            # pysindy's CustomLibrary cannot print itself.
+            return f"{type(self).__name__}()"
+
     def coefficients(self) -> FloatArray:
         """Return Ξ of shape (n_states, n_terms)."""
         return np.asarray(self.coef_)
@@ -199,6 +206,7 @@ class SparseDynamics(BaseEstimator):
         precision : int
             Digits behind the point.
         """
+        check_is_fitted(self)
         return [
             " + ".join(f"{t.coefficient:.{precision}f} {t.name}" for t in terms) or "0"
             for terms in self.equation_terms_
@@ -216,8 +224,9 @@ class SparseDynamics(BaseEstimator):
         """
         import sys
 
+        right = self.equations(precision)
         left = lhs or [f"({name})'" for name in self.state_names_]
-        for one, other in zip(left, self.equations(precision), strict=True):
+        for one, other in zip(left, right, strict=True):
             sys.stdout.write(f"{one} = {other}\n")
         if self.late_ is not None:
             sys.stdout.write(f"{self.late_.words(self.state_names_)}\n")
@@ -266,6 +275,7 @@ class SparseDynamics(BaseEstimator):
                 (times[0], times[-1]),
                 start.astype(np.float64),
                 t_eval=times,
+                method="LSODA",  # Far outside its data a model may be stiff.
                 # A held input must not be stepped over.
                 max_step=np.min(abs(np.diff(times)), initial=np.inf) if held else np.inf,
                 events=lost,

@@ -47,9 +47,8 @@ def in_other_units(folder: Path, *, limits: dict[str, list[float]] | None = None
         table["unit"] = "psia" if is_pressure else "degF"
         for key in COUNT_KEYS:
             table.pop(key, None)
-    del tables["adc"], tables["limits"]
-    if limits:
-        tables["limits"] = limits
+    del tables["adc"]
+    tables["limits"] = limits or {}
     cell = folder / f"cell-{len(limits or ())}"
     cell.mkdir(exist_ok=True)
     write_csv(cell / "raw.csv", columns)

@@ -88,15 +88,14 @@ def test_without_an_effect_the_lag_alone_acts() -> None:
     np.testing.assert_allclose(truth.clean, got, atol=1e-6)
 
 
-def speed_dependent(truth: Truth, t: float) -> float:
-    return float((truth.speed(t) / truth.p["reference_frac"]) ** truth.p["exponent"])
-
-
 def test_time_constant_that_varies_with_the_speed() -> None:
     name = "speed_dependent_lag"
     truth = Truth(name)
+    relative = lambda t: truth.speed(t) / truth.p["reference_frac"]  # noqa: E731
     got = truth.solve(
-        lambda t, y: (truth.curve(truth.phi(t)) - y) / (truth.tau * speed_dependent(truth, t))
+        lambda t, y: (
+            (truth.curve(truth.phi(t)) - y) / (truth.tau * relative(t) ** truth.p["exponent"])
+        )
     )
     assert_same(truth.clean, got, effect_of(name))
 

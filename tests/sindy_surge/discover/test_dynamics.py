@@ -127,6 +127,7 @@ def test_a_hidden_state_behind_a_known_equation():
     known = {"phi": {"psi_c": 1.8, "psi": -1.8}}
     model = SparseDynamics(library, hidden=("psi_c",), known=known)
     model.fit(noisy, t, feature_names=["phi", "psi"])
+    assert "SparseDynamics(" in repr(model)
     assert set(model.terms_[1]) == {"phi", "√psi"}
     assert set(model.terms_[2]) == {"1", "phi^2", "phi^3", "psi_c"}
     lag = next(term for term in model.equation_terms_[2] if term.name == "psi_c")
