@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -61,13 +62,13 @@ class TotalSystemState(Enum):
 
     CONVERGED = "The fit converged."
     NOT_CONVERGED = (
-        "The fit stopped before it converged: allow more iterations, start nearer, or take "
-        "multiple shooting."
+        "The fit stopped before it converged, and states no number. A number of the facility, or "
+        "the timing of a plane, may be wrong: check volumes, throttle and clocks."
     )
     LOST_THE_CYCLES = (
         "The simulation does not follow the record: the fit sits in a wrong minimum, or a number "
         "of the facility or the surge start is wrong. Neither the characteristic nor the time "
-        "constant counts; take multiple shooting, or check volumes and throttle."
+        "constant counts: check volumes and throttle."
     )
     DIVERGED = (
         "The simulation did not stay finite from the starting values: check the facility's "
@@ -132,11 +133,12 @@ class TotalSystemFit(Displayed):
             for name, rms in self.rms.items()
         )
         good = self.state is TotalSystemState.CONVERGED
+        tau = f"{round_to_error(1e3 * self.tau_s, 1e3 * self.tau_stderr_s)} ms"
+        numbers = Field("τ", tau), *(Field(name, round_to_error(*pair)) for name, *pair in beta)
         return Sheet(
             "Total-system fit",
             (
-                Field("τ", f"{round_to_error(1e3 * self.tau_s, 1e3 * self.tau_stderr_s)} ms"),
-                *(Field(name, round_to_error(value, error)) for name, value, error in beta),
+                *(numbers if good else ()),
                 Field("surge start", f"{self.start_s:.4f} s"),
                 Field("rows", f"{self.n_segments} runs over {self.n_rows} rows"),
                 Field("residuals", residuals),
@@ -145,11 +147,13 @@ class TotalSystemFit(Displayed):
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fit as plain JSON types."""
+        """Return the fit as plain JSON types; one that did not converge states no number."""
+        counts = 1.0 if self.state is TotalSystemState.CONVERGED else math.nan
+        beta, beta_stderr = counts * np.array(self.beta), counts * np.array(self.beta_stderr)
         settings = vars(self.settings) | {"facility": self.settings.facility.model_dump()}
         return {
-            "time_constant_s": {"value": self.tau_s, "stderr": self.tau_stderr_s},
-            "terms": terms_json(("1", "phi", "phi^2"), self.beta, self.beta_stderr),
+            "time_constant_s": {"value": counts * self.tau_s, "stderr": counts * self.tau_stderr_s},
+            "terms": terms_json(("1", "phi", "phi^2"), beta, beta_stderr),
             "start_s": self.start_s,
             "state": {"code": self.state.code, "advice": self.state.value},
             "rms": dict(self.rms),
