@@ -40,7 +40,7 @@ def leave_out(
     whole = both.T @ both
     rest = whole - np.stack([both[block].T @ both[block] for block in blocks])
     scale = np.sqrt(np.diag(whole)[:-1])
-    scale[scale == 0.0] = 1.0
+    scale[scale < 1e-150] = 1.0  # Its square is nothing.
     rest[:, :-1] /= scale[:, None]
     rest[:, :, :-1] /= scale
     # Scaled by the whole: a direction that only the block sees is rounding in the rest.
