@@ -206,6 +206,7 @@ def loop_lines(loop: SurgeLoop) -> tuple[str, ...]:
     lag = loop.lag
     names = ("unstalled once φ rises through", "stalled once φ falls through")
     levels = zip(names, lag.levels, lag.levels_stderr, strict=False)
+    kinks = [("kink at φ", b.knot, b.knot_stderr) for b in lag.branches if np.isfinite(b.knot)]
     simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
     return (
         head,
@@ -213,7 +214,7 @@ def loop_lines(loop: SurgeLoop) -> tuple[str, ...]:
         f"branches: {loop.n_branches}",
         f"time constant: {1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} "
         "ms",
-        *(f"{name}: {level:.4f} ± {error:.4f}" for name, level, error in levels),
+        *(f"{name}: {level:.4f} ± {error:.4f}" for name, level, error in (*levels, *kinks)),
         f"{period}, {simulated} simulated",
         f"plenum pressure: {'hidden' if loop.plenum_hidden else 'measured'}",
     )

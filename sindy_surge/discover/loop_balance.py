@@ -95,23 +95,31 @@ def term_values(states: FloatArray, exponents: IntArray) -> FloatArray:
     return monomials(np.column_stack((states, root)), exponents)
 
 
-def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[IntArray, float]:
+def best_terms(
+    columns: FloatArray, goal: FloatArray, n_terms: int, independent: float | None = None
+) -> tuple[IntArray, float]:
     """Choose among the first `n_terms` columns, and return them and the number of independent rows.
 
     By the extended BIC n log(rest²) + k (log n + 2 log p) with n the independent rows: the residual
-    of all columns says over how many rows it is correlated. The columns behind the first always
-    stay.
+    of all columns says over how many rows it is correlated, where n is not given. The columns
+    behind the first always stay.
     """
-    left = goal - columns @ least_squares(columns, goal)
-    independent = goal.size / correlation_rows(left)
-    penalty = np.log(independent) + 2 * np.log(n_terms)
+    if independent is None:
+        left = goal - columns @ least_squares(columns, goal)
+        independent = goal.size / correlation_rows(left)
     linear = without_nuisances(columns[:, n_terms:], columns[:, :n_terms], goal)
     best = [(linear.chi2(()), ()), *(each[0] for each in beam_search(linear, n_terms).values())]
 
     def score(trial: tuple[float, Support]) -> float:
-        return float(independent * np.log(trial[0] / goal.size) + penalty * len(trial[1]))
+        cost = price(independent, n_terms) * len(trial[1])
+        return float(independent * np.log(trial[0] / goal.size) + cost)
 
     return np.array(min(best, key=score)[1], dtype=np.int64), independent
+
+
+def price(independent: float, n_terms: int) -> float:
+    """Return what one of so many candidate terms costs on so many independent rows."""
+    return float(np.log(independent) + 2 * np.log(n_terms))
 
 
 def correlation_rows(left: FloatArray) -> float:
@@ -161,13 +169,13 @@ def fit_balance(
         columns[block] = own - own.mean(axis=0)
         goal[block] -= goal[block].mean()
     chosen, independent = best_terms(columns, goal, columns.shape[1])
-    price = np.log(independent) + 2 * np.log(columns.shape[1])
+    cost = price(independent, columns.shape[1])
     while True:
         own = columns[:, chosen]
         coefficients = least_squares(own, goal)
         covariance = covariance_of_cycles(-own, goal - own @ coefficients, blocks)
         worth = coefficients**2 / np.diag(covariance)
         # What differs between cycles says less of a term than the rows do.
-        if chosen.size < 2 or worth.min() > price:
+        if chosen.size < 2 or worth.min() > cost:
             return Balance(coefficients, covariance, _EXPONENTS[chosen])
         chosen = np.delete(chosen, np.argmin(worth))

@@ -6,15 +6,14 @@ is linear in the coefficients; τ and the levels are profiled.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numba import njit
 from scipy.interpolate import make_interp_spline
 
-from sindy_surge.discover.loop_balance import FittedSum, best_terms, covariance_of_cycles
+from sindy_surge.discover.loop_balance import FittedSum, best_terms, covariance_of_cycles, price
 from sindy_surge.free_run import run_lag
 from sindy_surge.library import hinge_name, monomial_name
 from sindy_surge.linear_problem import least_squares
@@ -26,13 +25,18 @@ from surge_core.types import FloatArray, IntArray
 # Degree of the richest single branch, of a branch while the levels are searched, and the largest
 # power among the candidate terms of a branch.
 _RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5
-_GRID, _STARTS = 26, 8
+_GRID, _STARTS, _KNOTS = 26, 8, 40
 # Of a step between rows. From 6 on the smoothing of φ, over rows, misses more.
 _MOST_PARTS = 8
 _PAIRS = 3
 # Errors of a kink that counts. Where φ turns, one explains what smoothing did: on three records of
 # a smooth curve by 4 errors at most, a true one by 200 and more.
 _SURE = 5.0
+# Two branches must leave less than this share of the variance that the richest single one leaves.
+_SHARE = 0.7
+# White noise taken out of both, as a share of the variance that differences show: they scatter by
+# some 5 %, and noise shared by both would make any two fits alike.
+_NOISE = 0.8
 _TAUS_S = np.geomspace(2e-3, 80e-3, 12)
 
 
@@ -48,11 +52,14 @@ class Branch(FittedSum):
         Powers of φ; -1 and -2 stand for relu(φ - knot) and its square.
     knot : float
         Where relu(φ - knot) begins; nan without one.
+    knot_stderr : float
+        Its standard error.
     """
 
     name: str
     powers: tuple[int, ...]
     knot: float
+    knot_stderr: float
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -119,10 +126,6 @@ class LagFit:
         φ_rec and φ_s with their standard errors; empty for one branch.
     rest : float
         Root mean square of what the free run leaves of ψ'.
-    n_parameters : int
-        Coefficients, τ, levels and knot.
-    independent_rows : float
-        Rows over the length of the correlation of what is left.
     """
 
     time_constant_s: float
@@ -131,8 +134,6 @@ class LagFit:
     levels: tuple[float, ...]
     levels_stderr: tuple[float, ...]
     rest: float
-    n_parameters: int
-    independent_rows: float
 
     def one_error_off(self) -> list[LagFit]:
         """Return it with τ, each level and each branch moved by a standard error."""
@@ -145,12 +146,6 @@ class LagFit:
                 branches = (*self.branches[:i], each, *self.branches[i + 1 :])
                 moved.append(replace(self, branches=branches))
         return moved
-
-    def better_than(self, other: LagFit) -> bool:
-        """Whether the Bayesian information criterion prefers this fit."""
-        n = min(self.independent_rows, other.independent_rows)
-        gain = 2 * n * np.log(other.rest / self.rest)
-        return bool(gain > (self.n_parameters - other.n_parameters) * np.log(n))
 
 
 def _between(phi: FloatArray, runs: Segments, parts: int) -> FloatArray:
@@ -229,8 +224,7 @@ def _rest(design: FloatArray, psi_p: FloatArray) -> float:
 
 
 def _chebyshev(phi: FloatArray, degree: int) -> FloatArray:
-    low, high = float(phi.min()), float(phi.max())
-    z = (2 * phi - low - high) / (high - low)
+    z = np.interp(phi, (phi.min(), phi.max()), (-1.0, 1.0))
     return np.asarray(np.polynomial.chebyshev.chebvander(z, degree), dtype=np.float64)
 
 
@@ -249,40 +243,51 @@ def _descend(
     return np.asarray(found.x)
 
 
-def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
-    """Fit one branch: powers of φ, and a kink where it earns its place.
+def fit_lag(rows: LagRows, noise: float) -> LagFit:
+    """Fit τ and one branch or two, by the rule of `discover_loop`; the white noise is of ψ'."""
+    one, plain, richest = _one_branch(rows)
+    two = _two_branches(rows, float(np.exp(one.at[0])))
+    white = _NOISE * noise**2
+    kept = (two.rest**2 - white) / max(min(richest, one.rest) ** 2 - white, 1e-300)
+    if kept < _SHARE and replace(two, independent=one.independent).score < one.score:
+        return _stated(two)
+    fit = _stated(one)
+    branch = fit.branches[0]
+    sure = abs(branch.coefficients) > _SURE * branch.stderr
+    kink = np.any(sure[np.array(branch.powers) < 0])
+    return fit if kink or one is plain else _stated(plain)
 
-    Returned are the fit with the terms of least score, and what the richest single branch (degree
-    7, and other cubics beyond a kink) leaves of ψ'.
+
+def _one_branch(rows: LagRows) -> tuple[_Trial, _Trial, float]:
+    """Return the likeliest single branch, with a kink or without, that without, and a rest of ψ'.
+
+    It is what the richest single branch (degree 7, and other cubics beyond a kink) leaves.
     """
     smooth = _chebyshev(rows.phi, _RICHEST)
 
     def rest(tau_s: float, knot: float) -> float:
-        columns = smooth
-        if np.isfinite(knot):
-            columns = np.column_stack((smooth, _candidates(rows.phi, (-1, -2, -3), knot)))
+        columns = np.column_stack((smooth, _candidates(rows.phi, (-1, -2, -3), knot)))
         return _rest(_free_run(rows, columns, tau_s), rows.psi_p)
 
     span = float(np.ptp(rows.phi))
-    knots = np.linspace(rows.phi.min(), rows.phi.max(), 22)[1:-1]
-    _, tau, knot = min((rest(t, at), t, at) for t in _TAUS_S for at in knots)
-    at = _descend(
+    knots = np.linspace(rows.phi.min(), rows.phi.max(), _KNOTS + 2)[1:-1]
+    _, tau, knot = min((rest(t, at), t, at) for t in _TAUS_S for at in knots[::2])
+    log_tau, knot = _descend(
         lambda v: rest(float(np.exp(v[0])), v[1]),
         np.array([np.log(tau), knot]),
         np.array([0.2, 0.03 * span]),
-    )
-    tau, knot = float(np.exp(at[0])), float(at[1])
-    richest = min(rest(tau, knot), rest(tau, np.nan))
-    plain, kinked = tuple(range(_HIGHEST + 1)), (-2, -1, *range(_HIGHEST + 1))
-    without = _settled(rows, tau, (), plain, np.nan)
-    with_kink = _settled(rows, tau, (), kinked, knot)
-    branch = with_kink.branches[0]
-    sure = abs(branch.coefficients) > _SURE * branch.stderr
-    earned = with_kink.better_than(without) and np.any(sure[np.array(branch.powers) < 0])
-    return with_kink if earned else without, richest
+    ).tolist()
+    plain = _Trial(rows, tuple(range(_HIGHEST + 1)), np.array([log_tau])).settled()
+    # A kink in the wrong place, with other powers beside it, can be a lesser optimum.
+    kinked = replace(plain, powers=(-2, -1, *plain.powers))
+    trials = [replace(kinked, at=np.array([log_tau, each])).chosen() for each in knots]
+    scores = np.array([t.score if min(t.kept or (2,)) < 2 else np.inf for t in trials])
+    settled = [trials[i].settled() for (i,) in _lowest(scores)]
+    best = min([plain, *settled], key=lambda trial: trial.score)
+    return best, plain, rest(float(np.exp(log_tau)), knot)
 
 
-def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
+def _two_branches(rows: LagRows, tau_s: float) -> _Trial:
     """Fit two branches: search both levels on a grid, refine them with τ, choose the terms.
 
     The first τ may be that of one branch, which forced on two reads some 15 % low.
@@ -300,9 +305,10 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
         return _rest(design[thin], rows.psi_p[thin])
 
     taus = tau_s * np.array([0.7, 1.0, 1.5])
-    ranked = sorted((rest(t, r, s), t, r, s) for t in taus for r in grid for s in grid)
+    values = np.array([[[rest(t, r, s) for s in grid] for r in grid] for t in taus])
     best, least = np.array([np.log(tau_s), grid[0], grid[-1]]), np.inf
-    for _, tau, recover, stall in _apart(ranked, 1.5 * step):
+    for i, j in _lowest(values.min(axis=0)):
+        tau, recover, stall = taus[values[:, i, j].argmin()], grid[i], grid[j]
         at = _descend(
             lambda v: rest(float(np.exp(v[0])), v[1], v[2]),
             np.array([np.log(tau), recover, stall]),
@@ -311,87 +317,118 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
         value = rest(float(np.exp(at[0])), at[1], at[2])
         if value < least:
             best, least = at, value
-    levels = (float(best[1]), float(best[2]))
-    powers = tuple(range(_HIGHEST + 1))
-    return _settled(rows, float(np.exp(best[0])), levels, powers, np.nan)
+    return _Trial(rows, tuple(range(_HIGHEST + 1)), best, n_levels=2).settled()
 
 
-def _apart(ranked: Sequence[tuple[float, ...]], distance: float) -> list[tuple[float, ...]]:
-    """Return the best places of the grid that are not neighbours of a better one."""
-    found: list[tuple[float, ...]] = []
-    for place in ranked:
-        if all(max(abs(place[2] - f[2]), abs(place[3] - f[3])) > distance for f in found):
-            found.append(place)
-        if len(found) == _STARTS:
-            break
-    return found
+def _lowest(values: FloatArray) -> list[tuple[int, ...]]:
+    """Return the places of a grid with no better neighbour, best first."""
+    from scipy.ndimage import minimum_filter
+
+    places = np.argwhere((minimum_filter(values, 3) == values) & np.isfinite(values)).tolist()
+    return sorted(map(tuple, places), key=values.__getitem__)[:_STARTS]
 
 
-def _settled(
-    rows: LagRows, tau_s: float, levels: tuple[float, ...], powers: tuple[int, ...], knot: float
-) -> LagFit:
-    """Choose the terms, refine τ, levels and knot with them, choose again, and state errors.
+@dataclass(frozen=True)
+class _Trial:
+    """A structure: some terms of each branch, and log τ, levels and knot, which are not linear."""
 
-    What smoothing left of the noise of φ biases all of them. Twins of the record show by how
-    much: the smoothed φ is taken for the true one, the fitted free run for ψ', and both are
-    measured and fitted again, in pairs with the same noise of either sign. The mean of a pair
-    shows the bias, of which the median counts: in one a level may jump. Half its difference is a
-    scatter that adds to that of the cycles, which are few.
+    rows: LagRows
+    powers: tuple[int, ...]  # As of a branch; with negative ones a knot is the last parameter
+    at: FloatArray
+    n_levels: int = 0
+    kept: tuple[int, ...] | None = None  # Which of the powers of all branches; None: all
+    rest: float = np.inf  # Root mean square of what it leaves of ψ'
+    independent: float = 0.0  # Rows over the length of the correlation of what is left; 0: unknown
+
+    @property
+    def score(self) -> float:
+        """Extended BIC; of τ, levels and knot, which are not chosen, as many as there are."""
+        n, terms = self.independent, len(self.powers) * (2 if self.n_levels else 1)
+        cost = price(n, terms) * len(self.kept or ()) + np.log(n) * self.at.size
+        return float(2 * n * np.log(self.rest) + cost)
+
+    def design(self, at: FloatArray, rows: LagRows) -> FloatArray:
+        """Return the free run of every term kept, and of the starts."""
+        columns = _candidates(rows.phi, self.powers, float(at[-1]))
+        full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + self.n_levels]))
+        n = full.shape[1] - rows.runs.starts.size
+        return full[:, [*(range(n) if self.kept is None else self.kept), *range(n, full.shape[1])]]
+
+    def refined(self, rows: LagRows) -> FloatArray:
+        """Return what is not linear where least is left of ψ'."""
+        return _descend(
+            lambda at: _rest(self.design(at, rows), rows.psi_p),
+            self.at,
+            np.full(self.at.size, 0.01),
+        )
+
+    def chosen(self) -> _Trial:
+        """Choose the terms where all that is not linear is given."""
+        columns = replace(self, kept=None).design(self.at, self.rows)
+        n_terms = columns.shape[1] - self.rows.runs.starts.size
+        kept, n = best_terms(columns, self.rows.psi_p, n_terms, self.independent or None)
+        rest = _rest(columns[:, [*kept, *range(n_terms, columns.shape[1])]], self.rows.psi_p)
+        return replace(self, kept=tuple(kept.tolist()), rest=rest, independent=n)
+
+    def settled(self) -> _Trial:
+        """Choose the terms, refine all that is not linear with them, and choose again."""
+        once = self.chosen()
+        return replace(once, at=once.refined(self.rows)).chosen()
+
+
+def _stated(trial: _Trial) -> LagFit:
+    """Refine a trial, drop what its terms do not hold, and state errors.
+
+    What smoothing left of the noise of φ biases all of them, and asks for terms. Twins of the
+    record show by how much: the smoothed φ is taken for the true one, the fitted free run for ψ',
+    and both are measured and fitted again, in pairs with the same noise of either sign. The mean of
+    a pair shows the bias, of which the median counts: in one a level may jump. Half its difference
+    is a scatter that adds to that of the cycles, which are few. Without the bias the terms are
+    chosen once more among those at hand; then none stays that its stated error does not hold, for
+    what cycles and twins scatter by is up to three times what the rows show.
     """
-    n_branches = 2 if levels else 1
-    n_terms = n_branches * len(powers)
-    kept = np.arange(n_terms)
-
-    def design(at: FloatArray, rows: LagRows = rows) -> FloatArray:
-        here = float(at[-1]) if np.isfinite(knot) else np.nan
-        columns = _candidates(rows.phi, powers, here)
-        full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
-        return np.column_stack((full[:, kept], full[:, n_terms:]))
-
-    def left_by(at: FloatArray, rows: LagRows = rows) -> float:
-        return _rest(design(at, rows), rows.psi_p)
-
-    at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
-    for _ in range(2):
-        kept = np.arange(n_terms)
-        chosen, independent = best_terms(design(at), rows.psi_p, n_terms)
-        kept = chosen
-        at = _descend(left_by, at, np.full(at.size, 0.01))
-    columns = design(at)
+    rows, powers, kept = trial.rows, trial.powers, np.array(trial.kept)
+    names = ("stalled", "unstalled") if trial.n_levels else ("single",)
+    trial = replace(trial, at=trial.refined(rows))
+    at, columns = trial.at, trial.design(trial.at, rows)
     beta = least_squares(columns, rows.psi_p)
     fitted = columns @ beta
     left = rows.psi_p - fitted
     moves = []
     for move in 2e-3 * np.eye(at.size):
-        moves.append((design(at + move) - design(at - move)) @ beta / 4e-3)
-    jacobian = -np.column_stack((columns, *moves))
-    spread = covariance_of_cycles(jacobian, left, rows.cycles)
+        moves.append((trial.design(at + move, rows) - trial.design(at - move, rows)) @ beta / 4e-3)
+    tangent = np.column_stack((columns, *moves))
     rng = np.random.default_rng(0)
     again = []
     for _ in range(_PAIRS):
         noise = rows.noise * rng.standard_normal(rows.psi_p.size)
         for twin in (rows.twin(fitted, noise), rows.twin(fitted, -noise)):
-            found = _descend(partial(left_by, rows=twin), at, np.full(at.size, 0.01))
-            again.append(np.append(least_squares(design(found, twin), twin.psi_p), found))
+            found = trial.refined(twin)
+            again.append(np.append(least_squares(trial.design(found, twin), twin.psi_p), found))
     half, middle = (0.5 * op(again[::2], again[1::2]) for op in (np.subtract, np.add))
-    spread += half.T @ half / _PAIRS
+    found = 2 * np.append(beta, at) - np.median(middle, axis=0)
+    spread = covariance_of_cycles(-tangent, left, rows.cycles) + half.T @ half / _PAIRS
+    held, n = best_terms(tangent, tangent @ found + left, kept.size, trial.independent)
+    worth = (found**2 / np.diag(spread))[: kept.size]
+    if held.size == kept.size and worth.min() < price(n, len(powers) * len(names)):
+        held = np.delete(held, np.argmin(worth))
+    if 0 < held.size < kept.size:
+        return _stated(replace(trial, kept=tuple(kept[held].tolist())))
     errors = np.sqrt(np.diag(spread))[beta.size :].tolist()
-    beta, at = np.split(2 * np.append(beta, at) - np.median(middle, axis=0), [beta.size])
+    beta, at = np.split(found, [beta.size])
     tau = float(np.exp(at[0]))
-    names = ("stalled", "unstalled") if levels else ("single",)
     branches = []
     for i, name in enumerate(names):
         own = np.flatnonzero(kept // len(powers) == i)
-        chosen_powers = tuple(powers[j % len(powers)] for j in kept[own])
-        here = float(at[-1]) if min(chosen_powers, default=0) < 0 else np.nan
-        branches.append(Branch(beta[own], spread[np.ix_(own, own)], name, chosen_powers, here))
+        chosen = tuple(powers[j % len(powers)] for j in kept[own])
+        knot = (float(at[-1]), errors[-1]) if min(chosen, default=0) < 0 else (np.nan, np.nan)
+        branches.append(Branch(beta[own], spread[np.ix_(own, own)], name, chosen, *knot))
+    levels = slice(1, 1 + trial.n_levels)
     return LagFit(
         tau,
         tau * errors[0],
         tuple(branches),
-        tuple(at[1 : 1 + len(levels)].tolist()),
-        tuple(errors[1 : 1 + len(levels)]),
+        tuple(at[levels].tolist()),
+        tuple(errors[levels]),
         float(np.sqrt(np.mean(left**2))),
-        kept.size + at.size,
-        independent,
     )

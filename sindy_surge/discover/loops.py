@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sindy_surge.discover.loop_balance import Balance, fit_balance
-from sindy_surge.discover.loop_lag import Branch, LagFit, LagRows, fit_one_branch, fit_two_branches
+from sindy_surge.discover.loop_lag import Branch, LagFit, LagRows, fit_lag
 from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles
 from sindy_surge.discover.trajectories import output_times
 from sindy_surge.noise import difference_noise, smoothed
@@ -20,12 +20,6 @@ from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
-STATES = ("phi", "psi_p", "plenum")
-# Two branches must leave less than this share of the variance that the richest single one leaves.
-_SHARE = 0.7
-# White noise taken out of both, as a share of the variance that differences show: they scatter by
-# some 5 %, and noise shared by both would make any two fits alike.
-_NOISE = 0.8
 _FEWEST_CYCLES = 4
 _FEWEST_SAMPLES = 30
 _TOLERANCE = 1e-8
@@ -278,12 +272,7 @@ def discover_loop(
         )
     period_samples = round(cycles.period_s / step)
     rows = LagRows(smooth[0], measured[1], runs, step, period_samples, noise[0]).refined()
-    one, richest = fit_one_branch(rows)
-    two = fit_two_branches(rows, one.time_constant_s)
-    richest = min(richest, one.rest)
-    white = _NOISE * noise[1] ** 2
-    kept = (two.rest**2 - white) / max(richest**2 - white, 1e-300)
-    lag = two if kept < _SHARE and two.better_than(one) else one
+    lag = fit_lag(rows, noise[1])
     if plenum is None:
         hidden, duct = hidden_plenum(measured, smooth, step, period_samples)
         smooth.append(hidden)
