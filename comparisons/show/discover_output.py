@@ -202,7 +202,8 @@ def loop_lines(loop: SurgeLoop) -> tuple[str, ...]:
     head = f"{loop.state}: {loop.state.advice}"
     period = f"period: {loop.measured_cycles.period_s:.4f} s measured"
     if loop.state is not FitState.OK:
-        return head, period
+        beyond = ", ".join((*loop.duct.beyond, *loop.plenum.beyond))
+        return head, *([f"beyond the library: {beyond} would pay"] if beyond else []), period
     lag = loop.lag
     names = ("unstalled once φ rises through", "stalled once φ falls through")
     levels = zip(names, lag.levels, lag.levels_stderr, strict=False)

@@ -252,16 +252,24 @@ def pays_beyond(level: Level, best: Tried[Fit], columns: Sequence[str]) -> tuple
     beyond = tuple(s * wide_n + n + i for s in free for i in range(more))
     kept = tuple(i // n * wide_n + i % n for i in best.support)
     price = level.price + 2.0 * float(np.log(wide_n / n))
-    found = min(best_of_equation(linear, beyond, kept, price, 1, 1))[1]
-    # T⁴ in place of T, T² and T³ pays, where beside these it does not.
-    for s in free if found == kept else ():
-        own, rest = range(s * wide_n, (s + 1) * wide_n), tuple(i for i in kept if i // wide_n != s)
-        score, other = min(best_of_equation(linear, tuple(own), rest, price))
-        if score < linear.score(kept, price) - RIVAL:
-            found = other
-            break
+    equations = [tuple(range(s * wide_n, (s + 1) * wide_n)) for s in free]
+    found = pays(linear, beyond, kept, price, equations)
     names = wide.others(columns)
     return tuple(names[i % wide_n - n] for i in sorted(set(found) & set(beyond)))
+
+
+def pays(
+    linear: LinearProblem, beyond: Support, kept: Support, price: float, equations: list[Support]
+) -> Support:
+    """Return the terms kept with one beyond that pays, or others of one equation that do."""
+    found = min(best_of_equation(linear, beyond, kept, price, 1, 1))[1]
+    # T⁴ in place of T, T² and T³ pays, where beside these it does not.
+    for own in equations if found == kept else ():
+        rest = tuple(i for i in kept if i not in own)
+        score, other = min(best_of_equation(linear, own, rest, price))
+        if score < linear.score(kept, price) - RIVAL:
+            return other
+    return found
 
 
 def _proposals(

@@ -13,6 +13,8 @@ from typing import Self
 
 import numpy as np
 
+from sindy_surge.candidate_terms import independent_columns
+from sindy_surge.discover.levels import pays
 from sindy_surge.library import monomial_name, monomials
 from sindy_surge.linear_problem import Support, least_squares, without_nuisances
 from sindy_surge.search import beam_search
@@ -20,18 +22,20 @@ from sindy_surge.segments import Segments
 from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IntArray
 
-FACTORS = ("phi", "psi_p", "plenum", "sqrt(plenum)")
-# Linear and quadratic terms of the three states, and the flow through a throttle.
+FACTORS = ("phi", "psi_p", "plenum", "sqrt(plenum)", "abs(phi)")
+# Linear and quadratic terms of the three states, the flow through a throttle, and the loss of a
+# duct in which the flow turns round.
 _EXPONENTS = np.array(
     [
-        (0, 0, 0, 0),
-        *np.eye(4, dtype=int).tolist(),
-        (2, 0, 0, 0),
-        (0, 2, 0, 0),
-        (0, 0, 2, 0),
-        (1, 1, 0, 0),
-        (1, 0, 1, 0),
-        (0, 1, 1, 0),
+        (0, 0, 0, 0, 0),
+        *np.eye(4, 5, dtype=int).tolist(),
+        (2, 0, 0, 0, 0),
+        (0, 2, 0, 0, 0),
+        (0, 0, 2, 0, 0),
+        (1, 1, 0, 0, 0),
+        (1, 0, 1, 0, 0),
+        (0, 1, 1, 0, 0),
+        (1, 0, 0, 0, 1),
     ],
     dtype=np.int64,
 )
@@ -72,11 +76,14 @@ class Balance(FittedSum):
 
     Parameters
     ----------
-    exponents : ndarray of int of shape (n_terms, 4)
-        Powers of φ, ψ', Ψ and sign(Ψ) √|Ψ| in each term.
+    exponents : ndarray of int of shape (n_terms, 5)
+        Powers of φ, ψ', Ψ, sign(Ψ) √|Ψ| and |φ| in each term.
+    beyond : tuple of str
+        Terms beyond the library that would explain more than they cost.
     """
 
     exponents: IntArray
+    beyond: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -92,7 +99,7 @@ def term_values(states: FloatArray, exponents: IntArray) -> FloatArray:
     """Evaluate terms: states (n_rows, 3) to values (n_rows, n_terms)."""
     plenum = states[:, 2]
     root = np.copysign(np.sqrt(np.abs(plenum)), plenum)
-    return monomials(np.column_stack((states, root)), exponents)
+    return monomials(np.column_stack((states, root, abs(states[:, 0]))), exponents)
 
 
 def best_terms(
@@ -158,7 +165,12 @@ def fit_balance(
     """
     from scipy.integrate import cumulative_simpson
 
-    columns, goal = term_values(states, _EXPONENTS), channel.copy()
+    # φ² is φ |φ| where the flow does not turn round.
+    more = (_EXPONENTS[:, None] + np.eye(3, 5, dtype=np.int64)).reshape(-1, 5)
+    wide = np.vstack((_EXPONENTS, more))
+    there = independent_columns(term_values(states, wide))
+    wide, n = wide[there], int(np.count_nonzero(there < len(_EXPONENTS)))
+    columns, goal = term_values(states, wide), channel.copy()
     blocks = []
     for run in runs.slices():
         n_windows = max((run.stop - run.start) // period_samples, 1)
@@ -168,14 +180,26 @@ def fit_balance(
         own = cumulative_simpson(columns[block], dx=sample_period_s, initial=0, axis=0)
         columns[block] = own - own.mean(axis=0)
         goal[block] -= goal[block].mean()
-    chosen, independent = best_terms(columns, goal, columns.shape[1])
-    cost = price(independent, columns.shape[1])
-    while True:
-        own = columns[:, chosen]
-        coefficients = least_squares(own, goal)
-        covariance = covariance_of_cycles(-own, goal - own @ coefficients, blocks)
-        worth = coefficients**2 / np.diag(covariance)
-        # What differs between cycles says less of a term than the rows do.
-        if chosen.size < 2 or worth.min() > cost:
-            return Balance(coefficients, covariance, _EXPONENTS[chosen])
-        chosen = np.delete(chosen, np.argmin(worth))
+
+    def held(chosen: IntArray, price: float) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Drop terms: what differs between cycles says less of one than the rows do."""
+        while True:
+            own = columns[:, chosen]
+            coefficients = least_squares(own, goal)
+            covariance = covariance_of_cycles(-own, goal - own @ coefficients, blocks)
+            worth = coefficients**2 / np.diag(covariance)
+            if chosen.size < 2 or worth.min() > price:
+                return chosen, coefficients, covariance
+            chosen = np.delete(chosen, np.argmin(worth))
+
+    chosen, independent = best_terms(columns[:, :n], goal, n)
+    chosen, coefficients, covariance = held(chosen, price(independent, n))
+    left = goal - columns[:, chosen] @ coefficients
+    # So that χ² counts independent rows.
+    unit = np.linalg.norm(left) / np.sqrt(independent)
+    linear = without_nuisances(columns[:, :0], columns / unit, goal / unit)
+    every, cost = tuple(range(len(wide))), price(independent, len(wide))
+    found = np.array(pays(linear, every[n:], tuple(chosen.tolist()), cost, [every]))
+    beyond = wide[[i for i in held(found, cost)[0] if i >= n]].tolist()
+    names = tuple(monomial_name(FACTORS, each) for each in beyond)
+    return Balance(coefficients, covariance, wide[chosen], names)

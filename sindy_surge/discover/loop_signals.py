@@ -20,7 +20,7 @@ _BAND = 1 / 3
 # Regressions that follow one another as the throttle's flow settles: two leave 1e-5 of a.
 _TIMES = 3
 # ψ' and Ψ.
-_DUCT = np.array([(0, 1, 0, 0), (0, 0, 1, 0)], dtype=np.int64)
+_DUCT = np.array([(0, 1, 0, 0, 0), (0, 0, 1, 0, 0)], dtype=np.int64)
 
 
 @dataclass(frozen=True)

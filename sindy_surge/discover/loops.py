@@ -335,6 +335,8 @@ def _judged(loop: SurgeLoop) -> SurgeLoop:
     state, off_s = FitState.OK, abs(found.period_s - measured.period_s)
     if found.n_cycles < _CYCLES // 2:
         state = FitState.DOES_NOT_CYCLE
+    elif loop.duct.beyond or loop.plenum.beyond:
+        state = FitState.LIBRARY_TOO_SMALL
     elif _difference(measured, found) > _AGREEMENT:
         state = FitState.CYCLES_DIFFER
     elif loop.lag.rest > _EXCESS * loop.noise:

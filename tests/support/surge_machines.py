@@ -19,6 +19,7 @@ class SurgeMachine:
     tau_s: float
     levels: tuple[float, float]
     curves: tuple[Curve, Curve]
+    loss: Curve = lambda _: 0.0
 
     def run(self, n: int, fine: int = 5) -> tuple[np.ndarray, np.ndarray]:
         """Integrate; return n states after the first second, and whether stalled."""
@@ -49,7 +50,7 @@ class SurgeMachine:
         through = self.throttle * np.sign(x[2]) * abs(x[2]) ** 0.5
         return np.array(
             [
-                self.duct * (x[1] - x[2]),
+                self.duct * (x[1] - x[2]) - self.loss(x[0]),
                 (curve(x[0]) - x[1]) / self.tau_s,
                 self.plenum * (x[0] - through),
             ]
