@@ -51,11 +51,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
     if TIME in (*states, *inputs):
         raise InputError("--states", expected="measured columns", found=f"the clock, {TIME}")
-    if both := [name for name in inputs if name in states]:
-        raise InputError("--inputs", expected="columns that are no states", found=", ".join(both))
     hidden = _names("--hidden", given.hidden)
-    if both := [name for name in hidden if name in (*states, *inputs)]:
-        raise InputError("--hidden", expected="states that no column holds", found=", ".join(both))
     names = ", ".join(path.name for path in given.files)
     with shown_steps(3) as begin:
         begin("reading")
