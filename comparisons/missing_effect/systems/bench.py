@@ -139,8 +139,7 @@ class Bench:
         """
         moved = [self.refitted(white.structure, white.theta)]
         if raw is not None and not raw.failed:
-            theta = _with_offsets(raw, white)
-            moved.append(self.refitted(raw.structure, theta))
+            moved.append(self.refitted(raw.structure, _with_offsets(raw, white)))
         return replace(min(moved, key=lambda bench: bench.fit.cost), white=white)
 
     def over_whole_records(self) -> Self:
@@ -168,8 +167,7 @@ class Bench:
             return replace(moved if share < 1.0 / BETTER_TIMED else self, white=white)
         fit, earliest = moved.fit, moved.fit.structure.earliest
         if min(fit.theta[fit.structure.offsets]) <= -earliest:
-            earlier = replace(fit.structure, earliest=earliest + MOST_OFFSET)
-            fit = replace(fit, structure=earlier)
+            fit = replace(fit, structure=replace(fit.structure, earliest=earliest + MOST_OFFSET))
         return replace(moved, fit=fit, white=white).timed()
 
     def held_out_size(self) -> float:
@@ -221,10 +219,9 @@ class Bench:
                 smooth = next((best[i] for i in opened if best[i] != "held"), INTERPOLATIONS[0])
                 other = (*best[:j], smooth if held else "held", *best[j + 1 :])
                 best, least = better(other, -BETTER_WHITE)
-        theta = least[2]
         if best == now:
             return self
-        moved = self.refitted(replace(self.fit.structure, between=best), theta)
+        moved = self.refitted(replace(self.fit.structure, between=best), least[2])
         # What is better on a stretch must not be worse on the whole.
         return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
 
@@ -234,14 +231,13 @@ class Bench:
         short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
         laid = replace(short, fit=replace(self.fit, structure=structure))
         white = laid.whitened(self.fit, metric)
-        held = replace(structure, offsets_free=False)
         theta = _with_offsets(self.fit, white)
         # What is held is late by half a sample itself: beyond one sample in all it is a delay.
         late = theta[structure.offsets] > MOST_OFFSET - HALF_SAMPLE
         opened = np.array([way == "auto" for way in self.records.between])
         if np.any(late & opened & (np.array(between) == "held")):
             return np.inf, np.inf, theta
-        begun = replace(white, structure=held, theta=theta)
+        begun = replace(white, structure=replace(structure, offsets_free=False), theta=theta)
         raw = begun.again(short.train, self.raw, most=STEPS_BETWEEN)
         if raw.failed or white.failed:
             return np.inf, np.inf, theta

@@ -92,12 +92,23 @@ def path_of(
 
 def black_box_path(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> Path:
     """Return a run of a black box: its states are the parameters of its record."""
-    rows = FINE * (run.n_samples - 1) + 1
-    states = np.tile(start[: len(structure.model.states)], (rows, 1))
+    states = np.tile(start[: len(structure.model.states)], (FINE * (run.n_samples - 1) + 1, 1))
     whole = _black_box_outputs(structure, run.from_record_start(structure), theta, start)
     outputs = structure.recorded(whole, theta)[-run.n_samples :]
     failed = not np.all(np.abs(outputs) < LARGEST)
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
+
+
+def reads_at_once(structure: Structure, run: Run, theta: FloatArray, j: int) -> bool:
+    """Tell whether a black box reads what input j, which is held, is at a row out in that row."""
+    if structure.model.simulate is None or structure.ways[j] != "held":
+        return False
+    plain, moved = replace(structure, effects=()), run.pieces.copy()
+    moved[j, -1, 1] += rms(run.pieces[j, :, 0])
+    params = np.r_[theta[: plain.offsets.start], np.zeros(len(structure.model.inputs))]
+    pairs = [replace(run, pieces=pieces) for pieces in (run.pieces, moved)]
+    one, other = (black_box_path(plain, each, params, run.x0_mean).outputs[-1] for each in pairs)
+    return bool(np.any(one != other))
 
 
 def why_failed(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> str:
@@ -203,8 +214,7 @@ def _integrated(
         True,
     )
     try:
-        whole = bool(cyrk.c_get_success(result)) and cyrk.c_get_size(result) == times.size
-        if not whole:
+        if not (cyrk.c_get_success(result) and cyrk.c_get_size(result) == times.size):
             return None
         shape = (times.size, start.size)
         states = np.ctypeslib.as_array(cyrk.c_get_y_ptr(result), shape).copy()
@@ -221,8 +231,7 @@ def _black_box_outputs(
     slots = {placed: theta[structure.slots_of(placed)] for placed in effects}
     at_inputs = {p: slots[p] for p in effects if p.effect.kind in AT_INPUTS}
     given = replace(run, pieces=run.pieces_for(structure, theta))
-    late = theta[structure.offsets]
-    inputs = _behind(model.input_names, given, structure, late, at_inputs).T
+    inputs = _behind(model.input_names, given, structure, theta[structure.offsets], at_inputs).T
     drifts = [
         (placed.place.at, float(own[0]) * placed.scales[0])
         for placed, own in slots.items()

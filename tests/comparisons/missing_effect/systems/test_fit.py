@@ -74,10 +74,7 @@ def test_a_bound_that_is_in_the_way_is_reported(quiet: tuple[Structure, Run]) ->
 def test_the_truth_is_found_and_intervals_cover_it(
     a: float, spread: tuple[float, float], quiet: tuple[Structure, Run]
 ) -> None:
-    """Forty records with white or coloured noise: z has mean zero and spread one.
-
-    Over forty blocks of fifty rows; errors are a little narrow where they hang together.
-    """
+    """Forty records with white or coloured noise: z has mean zero and spread one."""
     z = z_scores(*quiet, a)
     assert np.all(np.abs(np.mean(z, axis=0)) < 3.5 * spread[1] / np.sqrt(SEEDS)), np.mean(z, axis=0)
     sizes = np.sqrt(np.mean(z**2, axis=0))
@@ -100,7 +97,6 @@ def test_the_number_of_an_effect_and_its_error_are_right() -> None:
         assert number.unit == "N·s²/m²"
         assert number.stderr < 0.08
         assert [quantities.is_nothing(fit, effect, k * cov) for k in (1, 1e4)] == [False, True]
-        # The catalogue's sign is that of the model's right-hand side.
         z.append((abs(number.value) - 0.4) / number.stderr)
     assert np.all(np.abs(z) < 4.0), z
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.8
@@ -125,7 +121,6 @@ def test_bounds_hold_and_the_rest_is_fitted_beside_them() -> None:
     low, high = structure.bounds
     assert np.all((fit.theta >= low) & (fit.theta <= high))
     assert fit.theta[2] == 70.0
-    # At the bound the mass falls with the stiffness, so that the frequency stays near.
     assert fit.theta[2] / fit.theta[0] == pytest.approx(40.0, rel=0.1)
 
 
@@ -210,11 +205,7 @@ def test_the_colour_of_errors_is_found_and_helps() -> None:
 
 
 def test_errors_of_parameters_hold_while_the_offset_is_held() -> None:
-    """An offset that was estimated and then held: the resistance moves with it, by ten errors.
-
-    The whole model of the circuit, its offset five thousandths of a sample off, as the whitened
-    errors of such a record leave it.
-    """
+    """An offset that was estimated and then held: the resistance moves with it, by ten errors."""
     model = make.circuit()
     record = make.experiment("circuit", truth.circuit(11, 1500))
     run = make.runs_on(model, [record])[0]

@@ -40,10 +40,7 @@ def slow_signal(rng: np.random.Generator, n: int) -> np.ndarray:
 def oscillator(
     seed: int, n: int, hidden: float, colour: str = "white", slew: float = np.inf, rub: float = 0.0
 ) -> Experiment:
-    """x'' = u − 0.3 x' − x + hidden·x²·x' − rub ± √abs(x'), read with 1 % of noise.
-
-    Runge–Kutta of its own; the drive of u is no faster than ``slew``.
-    """
+    """x'' = u − 0.3 x' − x + hidden·x²·x' − rub ± √abs(x'), read with 1 % of noise."""
     rng = np.random.default_rng(seed)
     asked = 1.5 * slow_signal(rng, n)
     u = asked.copy()
@@ -364,10 +361,7 @@ def test_the_ball_on_its_beam_gets_no_name() -> None:
 
 @needs_measured
 def test_the_spring_of_the_silverbox_is_cubic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the linear model of the example: its name, its place, and the error on unseen rows.
-
-    On stretches of the record; the figures on the official splits are printed by the script.
-    """
+    """From the linear model of the example: its name, its place, and the error on unseen rows."""
     monkeypatch.setenv("SINDY_SURGE_BENCHMARKS", str(SHARED))
     monkeypatch.syspath_prepend(EXAMPLES)
     made = runpy.run_path(str(EXAMPLES / "silverbox.py"))
