@@ -169,17 +169,13 @@ class _Search:
         )
         cost = np.inf
         if not any(path.failed for path in paths):
-            prior = sum(
-                float(np.sum(self._prior(run, start) ** 2))
-                for run, start in zip(self.runs, starts, strict=True)
-            )
+            both = zip(self.runs, starts, strict=True)
+            prior = sum(float(np.sum(self._prior(run, start) ** 2)) for run, start in both)
             # A few rows do not know how large their errors may be.
             known = self.rows is not None
-            cost = 0.5 * prior - self.metric.log_likelihood(self._scored(errors), known=known)
+            scored = [e[: self.rows] for e in errors]
+            cost = 0.5 * prior - self.metric.log_likelihood(scored, known=known)
         return Fit(self.structure, theta, starts, scale, float(cost), errors, paths)
-
-    def _scored(self, errors: Sequence[FloatArray]) -> list[FloatArray]:
-        return [e[: self.rows] for e in errors]
 
     def _prior(self, run: Run, start: FloatArray) -> FloatArray:
         return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
@@ -190,6 +186,7 @@ class _Search:
         if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
+        damped = self.structure.model.simulate is not None
         for _ in range(most):
             normal, slope = self._normal(point)
             better = None
@@ -207,7 +204,11 @@ class _Search:
             won, point = point.cost - better.cost, better
             damping = max(damping * FASTER, LEAST_DAMPING)
             if won < max(SETTLED, SETTLED_SHARE * (first - point.cost)):
-                return point
+                if not damped:
+                    return point
+                # Where numbers make up for each other it is the damping that makes steps short: a
+                # lag of 30 s stayed at 25.2 ± 1.2 s, 10 log-units above the best.
+                damped, damping = False, min(damping, FIRST_DAMPING**2)
         return point
 
     def _normal(self, point: Fit) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +216,7 @@ class _Search:
         m = self.which.size
         size = m + len(self.structure.model.states) * len(self.runs)
         normal, slope = np.zeros((size, size)), np.zeros(size)
-        metric = self.metric.with_size_of(self._scored(point.errors))
+        metric = self.metric.with_size_of([e[: self.rows] for e in point.errors])
         if self.rows is not None:
             known = zip(metric.sigma, self.metric.sigma, strict=True)
             metric = replace(metric, sigma=tuple(map(min, known)))

@@ -153,19 +153,16 @@ class Linearised:
 
     def _differences(self, which: IntArray, steps: FloatArray) -> FloatArray:
         """Return how a black box answers to each parameter, and to those of its record."""
-        start, out = self.path.states[0], []
+        both, n = np.r_[self.theta, self.path.states[0]], self.theta.size
         ranges = [p.high - p.low for p in self.structure.model.per_record.values()]
-        for c, step in enumerate([*(BLACK_BOX_STEP * steps), *(SMALL * size for size in ranges)]):
-            sides = []
-            for side in (step, -step):
-                theta, begun = self.theta.copy(), start.copy()
-                if c < which.size:
-                    theta[which[c]] += side
-                else:
-                    begun[c - which.size] += side
-                sides.append(black_box_path(self.structure, self.run, theta, begun).outputs)
-            out.append((sides[0] - sides[1]) / (2.0 * step))
-        return np.stack(out, axis=2) if out else np.zeros((*self.run.outputs.shape, 0))
+        steps = np.r_[BLACK_BOX_STEP * steps, SMALL * np.array(ranges)]
+        out = np.zeros((*self.run.outputs.shape, steps.size))
+        for c, (i, step) in enumerate(zip([*which, *range(n, both.size)], steps, strict=True)):
+            for side in (0.5, -0.5):
+                moved = both + 2.0 * side * step * (np.arange(both.size) == i)
+                path = black_box_path(self.structure, self.run, moved[:n], moved[n:])
+                out[:, :, c] += side * path.outputs / step
+        return out
 
 
 def _difference(sides: Sequence[Answer], steps: FloatArray) -> Answer:

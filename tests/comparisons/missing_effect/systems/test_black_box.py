@@ -12,7 +12,7 @@ import system_truths as truth
 from scipy.signal import lsim
 
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
-from comparisons.missing_effect.systems.linearised import Linearised
+from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import covariance
@@ -55,6 +55,23 @@ def test_a_delay_of_a_held_input_is_known_within_a_row(monkeypatch: pytest.Monke
     assert abs(fit.theta[4] - 3.4) < max(3.0 * error, 0.1) < 0.3
     for box, at_once in ((boxed(), False), (replace(boxed(), simulate=lambda t, u, p: u.v), True)):
         assert reads_at_once(replace(structure, model=box), run, fit.theta, 0) == at_once
+
+
+def test_numbers_that_make_up_for_each_other_are_fitted_to_the_end() -> None:
+    """One of them is of the record."""
+    u, w, e = np.random.default_rng(1).normal(size=(3, 300))
+    numbers = {"a": P(2.0, -500.0, 500.0, per_record=True), "b": P(0.0, -500.0, 500.0)}
+
+    def simulate(t: np.ndarray, u: Any, p: Any) -> np.ndarray:
+        return np.asarray(p.a * u.u + p.b * (u.u + 3e-4 * u.w))
+
+    model = Model.from_simulate(simulate, {"u": "V", "w": "V"}, {"y": "V"}, numbers)
+    model, y = model.with_record_parameters(), 2.0 * u + 0.03 * w + 0.1 * e
+    record = Experiment("record", 0.1, {"u": u, "w": w, "y": y})
+    run = make.runs_on(model, [record], "linear", ([2.0], [np.inf]))[0]
+    fit = make.fitted(Structure(model, (), "linear", offsets_free=False), [run])
+    best = np.linalg.lstsq(np.column_stack([u, u + 3e-4 * w]), y)[0]
+    assert np.r_[fit.starts[0], fit.theta[:1]] == pytest.approx(best, abs=0.5)
 
 
 def test_a_black_box_is_fitted_as_the_model_is() -> None:
@@ -115,29 +132,6 @@ def test_effects_around_a_black_box_are_those_in_the_equations(case: str) -> Non
     size = float(np.std(inside))
     kinked = kind in (Kind.INPUT_PLAY, Kind.INPUT_MAP)
     assert np.max(np.abs(box - inside)[60:]) < (0.08 if kinked else 0.03) * size
-
-
-def test_the_answers_of_a_black_box_are_its_differences() -> None:
-    model = boxed(params={**make.circuit().params, "R": P(2.0, 0.1, 50.0, "Ω", per_record=True)})
-    model = model.with_record_parameters()
-    run = make.runs_on(model, [make.experiment("circuit", truth.circuit(3, 300))], "linear")[0]
-    structure = Structure(model, (), "linear", 1e-7)
-    theta, start = np.array([0.05, 2e-3, 0.2]), np.array([3.0])
-    path = path_of(structure, run, theta, start, np.ones(1))
-    which = structure.free
-    columns = Linearised(structure, run, theta, path, np.ones(1)).to_numbers(which)
-    assert columns.shape == (300, 1, 4)
-    for c, (index, step) in enumerate(((0, 1e-4), (1, 1e-5), (2, 1e-2), (None, 1e-2))):
-        sides = []
-        for side in (step, -step):
-            at, begun = theta.copy(), start.copy()
-            if index is None:
-                begun[0] += side
-            else:
-                at[index] += side
-            sides.append(path_of(structure, run, at, begun, np.ones(1)).outputs)
-        wanted = (sides[0] - sides[1]) / (2.0 * step)
-        assert np.linalg.norm(columns[:, :, c] - wanted) < 0.02 * np.linalg.norm(wanted)
 
 
 def test_what_is_missing_at_the_input_of_a_black_box_is_named() -> None:
