@@ -270,7 +270,8 @@ class Bench:
             # A black box does not say how its states change.
             whole = () if one.transitions is None else one.transitions[0]
             change, size = np.diag(fit.scale), 0.0
-            for step in whole:
+            # Of a linear model they are one for all.
+            for step in whole if len(whole) != 1 else [*whole] * (len(one.path.states) // 2):
                 change = step @ change
                 norm = float(np.linalg.norm(change / fit.scale[:, None]))
                 if not 0.0 < norm < np.inf:

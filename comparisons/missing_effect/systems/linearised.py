@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from comparisons.missing_effect.systems.dynamics import System, along
+from comparisons.missing_effect.systems.dynamics import System, along, answers
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import FINE, Path, black_box_path, own_starts
@@ -33,10 +33,7 @@ BLACK_BOX_STEP = 100.0
 QUIET = np.errstate(invalid="ignore", over="ignore")
 # No state of an effect that the run has not.
 NONE = np.zeros(0)
-
 Laid = tuple[Placed, tuple[float, ...]]
-# Slopes on the fine grid and outputs at the samples, or how both change.
-Answer = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,30 +55,26 @@ class Linearised:
         return self.run.system(self.structure, self.theta)
 
     @cached_property
-    @QUIET
-    def _answers(self) -> Answer:
-        """How slopes and outputs answer to each state, in its own unit."""
-        states, steps = self.path.states, RELATIVE_STEP * (np.abs(self.path.states) + self.scale)
-        answers = []
-        for i in range(states.shape[1]):
-            moved = np.zeros(states.shape)
-            moved[:, i] = steps[:, i]
-            sides = [along(states + by, NONE, self.system, FINE) for by in (moved, -moved)]
-            answers.append(_difference(sides, steps[:, i]))
-        slopes, outputs = zip(*answers, strict=True)
-        return np.stack(slopes, axis=2), np.stack(outputs, axis=2)
+    def _answers(self) -> tuple[FloatArray, FloatArray]:
+        """How slopes and outputs answer to each state, in its own unit; one for all if alike."""
+        states, n = self.path.states, self.path.states.shape[1]
+        steps = RELATIVE_STEP * (np.abs(states) + self.scale)
+        # Neighbours move against each other, none as far as another.
+        shares = (0.5 + 0.618 * np.arange(n) % 1.0) * (-1.0) ** np.arange(n)
+        return answers(states, steps, shares, self.system, FINE)
 
     @cached_property
     @QUIET
     def transitions(self) -> tuple[FloatArray, FloatArray] | None:
-        """Transition matrices over whole and second half steps; a black box has none.
+        """Transition matrices over whole and second half steps, one for all if alike.
 
-        In units of the scale the exponentials need few squarings.
+        In units of the scale the exponentials need few squarings. A black box has none.
         """
         if self.structure.model.simulate is not None:
             return None
         units, step_s = self.scale[:, None] / self.scale, 2.0 * self.run.sample_period_s / FINE
         slopes = self._answers[0] / units
+        slopes = slopes if len(slopes) > 1 else np.repeat(slopes, 3, axis=0)
         first, middle, last = slopes[:-1:2], slopes[1::2], slopes[2::2]
         mean = (first + 4.0 * middle + last) / 6.0
         twist = (last @ first - first @ last) / 12.0
@@ -98,7 +91,7 @@ class Linearised:
         if self.transitions is None:
             return self._read(self._differences(which, steps))
         (rows, n_X), m = self.path.states.shape, which.size
-        forcing = np.zeros((rows, n_X, m + n_X))
+        forcing = np.zeros((rows, n_X, m))
         direct = np.zeros((*self.run.outputs.shape, m + n_X))
         for c, (number, step) in enumerate(zip(which, steps, strict=True)):
             sides = []
@@ -108,7 +101,9 @@ class Linearised:
                 system = self.run.system(self.structure, theta)
                 slopes, seen = along(self.path.states, NONE, system, FINE)
                 sides.append((slopes, self.structure.recorded(seen, theta)))
-            forcing[:, :, c], direct[:, :, c] = _difference(sides, np.full(rows, step))
+            forcing[:, :, c], direct[:, :, c] = (
+                (up - down) / (2.0 * step) for up, down in zip(*sides, strict=True)
+            )
         return self._carried(forcing, np.hstack([np.zeros((n_X, m)), np.eye(n_X)]), direct)
 
     @QUIET
@@ -165,13 +160,6 @@ class Linearised:
         return out
 
 
-def _difference(sides: Sequence[Answer], steps: FloatArray) -> Answer:
-    """Return central differences of slopes and outputs; the steps are those on the fine grid."""
-    (slopes, outputs), (slopes_below, outputs_below) = sides
-    width = 2.0 * steps[:, None]
-    return (slopes - slopes_below) / width, (outputs - outputs_below) / width[::FINE]
-
-
 def _exponentials(matrices: FloatArray) -> FloatArray:
     """Return the exponentials of small matrices: scaling, eight terms of the series, squaring.
 
@@ -198,23 +186,27 @@ def _forced(
 ) -> FloatArray:
     """Return the linearised answer of the state at the samples, shape (n, n_X, c).
 
-    The forcing, of shape (FINE·(n − 1) + 1, n_X, c), is what is added to dX/dt, and the start, of
-    shape (n_X, c), its change; one column a change.
+    The start, of shape (n_X, c), is its change, one column a change, and the forcing, of shape
+    (FINE·(n − 1) + 1, n_X, c or fewer), what the first of them add to dX/dt.
     """
-    steps, n = whole.shape[0], whole.shape[1]
-    n_c = start.shape[1]
+    steps, n = forcing.shape[0] // 2, start.shape[0]
+    n_c, n_f = start.shape[1], forcing.shape[2]
     out = np.empty((steps // 2 + 1, n, n_c))
     now, after = start.copy(), np.empty((n, n_c))
     out[0] = now
     third = 2.0 * fine_s / 6.0
     for k in range(steps):
+        w, h = k % whole.shape[0], k % half.shape[0]
+        now[:, :n_f] += third * forcing[2 * k]
+        after[:] = 0.0
+        after[:, :n_f] = third * forcing[2 * k + 2]
         for i in range(n):
-            for c in range(n_c):
-                total = third * forcing[2 * k + 2, i, c]
-                for j in range(n):
-                    total += whole[k, i, j] * (now[j, c] + third * forcing[2 * k, j, c])
-                    total += half[k, i, j] * 4.0 * third * forcing[2 * k + 1, j, c]
-                after[i, c] = total
+            for j in range(n):
+                one, other = whole[w, i, j], half[h, i, j] * 4.0 * third
+                for c in range(n_c):
+                    after[i, c] += one * now[j, c]
+                for c in range(n_f):
+                    after[i, c] += other * forcing[2 * k + 1, j, c]
         now, after = after, now
         if k % 2 == 1:
             out[k // 2 + 1] = now
