@@ -74,6 +74,9 @@ def _inputs(t: float, X: FloatArray, system: System, u: FloatArray, dX: FloatArr
             row = HEAD + ROW * e
             if ints[row] == 3 and ints[row + 2] == j:
                 late += theta[n_p + n_u + SLOTS * e]
+            elif ints[row] == 4 and ints[row + 2] == j:
+                # Else what follows its drive so closely would be late: an offset of 0 read -0.44.
+                late -= PLAY_SAMPLES
         u[j] = _input_at(t / h - late, j, ints, pieces)
     for e in range(n_eff):
         row = HEAD + ROW * e

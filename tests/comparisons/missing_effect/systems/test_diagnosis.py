@@ -231,12 +231,13 @@ def test_a_sensor_that_is_blind_to_the_sign_is_named() -> None:
 
 
 def test_a_play_is_told_from_a_timing_offset() -> None:
-    """The model without it puts what comes late down to a timing offset; true: ± 2 N."""
+    """The model without it puts what comes late down to a timing offset; true: ± 2 N, 0.1 rows."""
     found = diagnosed("body", most_effects=1, rows=1200, play=2.0)
     assert found.missing[0].alias_set == ("backlash",)
-    play = found.missing[0].parameters[0]
+    play, late = found.missing[0].parameters[0], found.offsets[0]
     assert abs(play.value - 2.0) < max(4.0 * play.stderr, 0.04)
     assert np.all(found.checks[0].after_rms < 1.5 * noise_of(found))
+    assert abs(late.value - 0.1) < max(4.0 * late.stderr, 0.05)
 
 
 def test_a_vessel_that_spills_is_named_from_a_model_whose_levels_are_far_off() -> None:
