@@ -51,11 +51,14 @@ def jittering_period_s(time_s: FloatArray) -> float:
     return period_s if is_whole else np.nan
 
 
-def uniform_period_s(time_s: FloatArray, where: str) -> float:
+def uniform_period_s(
+    time_s: FloatArray, where: str, taken: str = "interpolate them onto an even clock"
+) -> float:
     """Return the mean step of a uniform clock, or refuse one that is called ``where``.
 
     It may not repeat, run back, have a gap or drift off its straight line by more than 0.15 of a
-    step, nor may a step differ from the others by as much.
+    step, nor may a step differ from the others by as much. ``taken`` says what to do with rows that
+    were taken so.
     """
     steps = np.diff(time_s)
     mean_s = float((time_s[-1] - time_s[0]) / steps.size)
@@ -67,9 +70,10 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
     remedy = "fill the gap at the source or write one file a record"
     if np.isfinite(period_s := jittering_period_s(time_s)):
         remedy = (
-            f"no row is missing, the clock alone is uneven: count the rows at {1.0 / period_s:.6g} "
-            "Hz and write row / rate as the time (a raw record: sample_rate_hz and [file] clock = "
-            '"from rate" in test.toml; its times then count from 0)'
+            "no row is missing: where the clock alone is uneven, count the rows at "
+            f"{1.0 / period_s:.6g} Hz and write row / rate as the time (a raw record: "
+            'sample_rate_hz and [file] clock = "from rate" in test.toml; its times then count from '
+            f"0); where rows were taken at these times, {taken}"
         )
     back = np.flatnonzero(steps <= 0.0)
     if back.size:

@@ -27,6 +27,7 @@ LARGEST_JITTER = 1e-3
 # A period is as round as the jitter of its clock leaves open; a float's own noise at least.
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
 LONGEST_CAUSE = 200
+UNEVEN = "interpolate the inputs onto an even clock; an output may be empty where it was not read"
 
 Names: TypeAlias = tuple[str, ...] | None
 Columns: TypeAlias = dict[str, FloatArray]
@@ -264,7 +265,7 @@ def _period(where: str, time_s: FloatArray) -> float:
     """Return the sample period of a uniform clock; refuse another with its row."""
     for row in np.flatnonzero(~np.isfinite(time_s))[:1]:
         require(False, where, "finite times", f"{time_s[row]} in row {row + 1}")
-    n, period_s = time_s.size, uniform_period_s(time_s, where)
+    n, period_s = time_s.size, uniform_period_s(time_s, where, UNEVEN)
     off = np.abs(time_s - (time_s[0] + period_s * np.arange(n))) / period_s
     row = int(np.argmax(off))
     require(
@@ -272,7 +273,7 @@ def _period(where: str, time_s: FloatArray) -> float:
         where,
         f"a uniform clock within {LARGEST_JITTER:g} of its period, {period_s:.6g} s",
         f"row {row + 1} off by {off[row]:.3g} periods",
-        "resample the record to a uniform clock",
+        UNEVEN,
     )
     return _rounded(period_s, n, float(off[row]))
 

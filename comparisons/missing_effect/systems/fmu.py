@@ -139,7 +139,7 @@ def _instance(fmpy: ModuleType, file: Path, described: Any) -> Any:
     """Return a unit that is loaded; its files stay as long as it runs."""
     module = import_module(f"fmpy.fmi{described.fmiMajorVersion}")
     folder = tempfile.mkdtemp(prefix="fmu")
-    with ExitStack() as stack, _said_by(file, "a unit that runs on this machine"):
+    with ExitStack() as stack, _said_by(file, "a unit for this machine with all functions of FMI"):
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         fmpy.extract(str(file), folder)
         unit = getattr(module, f"FMU{described.fmiMajorVersion}Model")(

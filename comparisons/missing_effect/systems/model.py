@@ -344,7 +344,9 @@ def _expand_vectors(model: Model) -> None:
     for name, start in model.x0.items():
         own = cells.get(name, [name])
         many = name in cells and isinstance(start, (list, np.ndarray))
-        starts = [float(value) for value in start] if many else [start] * len(own)
+        starts = [start] * len(own)
+        if many:
+            starts = [one if isinstance(one, tuple) else float(one) for one in start]
         _require(len(starts) == len(own), f"x0: {name}", f"{len(own)} values", f"{len(starts)}")
         x0.update(zip(own, starts, strict=True))
     exact = tuple(cell for name in model.exact for cell in cells.get(name, [name]))

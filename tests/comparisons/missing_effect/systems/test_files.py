@@ -130,12 +130,6 @@ def packed(save: Callable[..., object], **replaced: object) -> Callable[[], byte
     return make
 
 
-def jitter() -> str:
-    made = good()
-    made.loc[50, "time_s"] += 0.002 * PERIOD_S
-    return text(made)
-
-
 NUL = b"\x00\xff\xfe\x80" * 400
 
 BAD = {
@@ -143,7 +137,8 @@ BAD = {
     "binary.csv": (lambda: NUL, "bytes that are no text"),
     "short.csv": (lambda: text(good()[:39]), "rows: expected at least 40, found 39"),
     "nan_time.csv": (changed(70, "time_s", ""), "time_s: expected finite times, found nan in row"),
-    "jitter.csv": (jitter, "row 51 off by 0.002 periods"),
+    "jitter.csv": (changed(50, "time_s", 50.002 * PERIOD_S), "row 51 off by 0.002 periods"),
+    "uneven.csv": (changed(50, "time_s", 50.3 * PERIOD_S), "these times, interpolate the inputs"),
     "nan.csv": (changed(12, "F", ""), "F: expected finite values, found nan in row 13"),
     "word.csv": (changed(12, "y", "over"), "y: expected numbers, found 'over' in row 13"),
     "semicolons.csv": (header("time_s;F;y"), "columns separated by commas"),

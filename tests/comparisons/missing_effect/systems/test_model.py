@@ -285,9 +285,9 @@ def test_a_bad_vector_is_refused(change: dict[str, Any], words: str) -> None:
 
 
 def test_an_exact_vector_and_a_start_of_each_cell() -> None:
-    model = rod(x0={"T": np.arange(20.0)}, exact=("T",))
+    model = rod(x0={"T": [*np.arange(19.0), (19.0, 0.1)]}, exact=("T",))
     assert (model.exact[0], len(model.exact)) == ("T_0", 20)
-    assert (model.x0["T_7"], free_equations(model)) == (7.0, (20,))
+    assert (model.x0["T_7"], model.x0["T_19"], free_equations(model)) == (7.0, (19.0, 0.1), (20,))
 
 
 def conducted(kelvin: float) -> float:

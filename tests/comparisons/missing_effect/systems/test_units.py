@@ -175,3 +175,7 @@ def test_variables_that_a_unit_lacks_are_refused(library: Path, tmp_path: Path) 
         Model.from_fmu(path, ["F"], ["y"], ["b"])
     with pytest.raises(InputError, match="expected a functional mock-up unit, found no such file"):
         Model.from_fmu(tmp_path / "none.fmu", ["F"], ["y"], ["c"])
+    part = library.with_name("part.so")
+    part.write_bytes(library.read_bytes().replace(b"fmi3Terminate", b"fmi3terminate"))
+    with pytest.raises(InputError, match=r"with all functions of FMI.*: fmi3Terminate"):
+        Model.from_fmu(packed(part, 3), ["F"], ["y"], ["c"])
