@@ -77,7 +77,7 @@ class Balance(FittedSum):
     Parameters
     ----------
     exponents : ndarray of int of shape (n_terms, 5)
-        Powers of φ, ψ', Ψ, sign(Ψ) √|Ψ| and |φ| in each term.
+        Powers of φ, ψ', Ψ, sign(Ψ) √|Ψ| and the size of φ in each term.
     beyond : tuple of str
         Terms beyond the library that would explain more than they cost.
     """
