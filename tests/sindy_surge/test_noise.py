@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise
+from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 
@@ -59,6 +59,7 @@ def test_fourth_differences_find_the_noise(surge: Callable[..., Any], noise: flo
         found = difference_noise(noisy, whole)
         # Sampling error of the median: about 2/sqrt(n) = 3 %.
         assert found == pytest.approx(noise * clean.std(), rel=0.12)
+        assert np.std(smoothed(noisy, found) - clean) < 0.7 * np.std(noisy - clean)
 
 
 def test_autoregression_finds_order_and_coefficients() -> None:

@@ -91,12 +91,12 @@ def test_without_an_effect_the_lag_alone_acts() -> None:
 def test_time_constant_that_varies_with_the_speed() -> None:
     name = "speed_dependent_lag"
     truth = Truth(name)
-    relative = lambda t: truth.speed(t) / truth.p["reference_frac"]  # noqa: E731
-    got = truth.solve(
-        lambda t, y: (
-            (truth.curve(truth.phi(t)) - y) / (truth.tau * relative(t) ** truth.p["exponent"])
-        )
-    )
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        tau = truth.tau * (truth.speed(t) / truth.p["reference_frac"]) ** truth.p["exponent"]
+        return (truth.curve(truth.phi(t)) - y) / tau
+
+    got = truth.solve(rate)
     assert_same(truth.clean, got, effect_of(name))
 
 
