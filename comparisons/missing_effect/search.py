@@ -59,6 +59,10 @@ def search(
         if here.found and not is_worth_adding(step, here, moved):
             break
         here = moved
+        if not here.found:
+            # The model alone explains as much, from the winner's numbers: it begins there again.
+            rounds.clear()
+            continue
         if here.policy.stops_clean and (step.winner.unnamed or not step.leftover.structured):
             break
     return _refined(_pruned(here), rounds)

@@ -29,6 +29,7 @@ from comparisons.missing_effect.systems.doubts import (
     leftover_of,
     one_sided,
     proves,
+    undecided,
 )
 from comparisons.missing_effect.systems.experiments import Experiment, held_rows, without_repeats
 from comparisons.missing_effect.systems.fit import (
@@ -125,8 +126,8 @@ def diagnose_model(
     records = Records.of(model, [without_repeats(e, held) for e in fits])
     checks = [_checkable(without_repeats(e, held), records) for e in given]
     report("fitting the model")
-    base = ModelSystem.of(records)
-    system, rounds = search(base, catalogue, library, most_effects, report)
+    system, rounds = search(ModelSystem.of(records), catalogue, library, most_effects, report)
+    base = rounds[0].bench if rounds else system
     if records.shortened and len(system.found) < most_effects and not system.failed:
         report("looking for what changes slowly")
         system, rounds = _with_drift(system, rounds, catalogue)
@@ -253,7 +254,8 @@ def _concluded(
     apart = () if left.structured else checked
     badly = "" if missing else _badly_foretold(base, apart)
     left_over = left.structured or left.late or left.disturbed
-    open_ = not missing and (bool(gone) or bool(beyond) or bool(badly) or left_over)
+    mute = undecided(rounds[-1]) if rounds and not missing else ""
+    open_ = not missing and any((gone, beyond, badly, mute, left_over))
     parameters = _parameters(records, (before, before_cov), (after, after_cov))
     offsets = _offsets(model, after, after_cov)
     training = tuple(
@@ -273,7 +275,7 @@ def _concluded(
             *_beyond_words(beyond),
             *_unknown_words(parameters),
             *_clock_words(offsets, after),
-            *_remarks(base.records.model, missing, left, gone, badly),
+            *_remarks(base.records.model, missing, left, gone, badly, mute),
             *_start_words(model, checks, checked),
             *_refitted_words(checked),
         ),
@@ -548,14 +550,20 @@ def _remarks(
     left: Leftover,
     gone: Mapping[Placed, str],
     badly: str,
+    mute: str,
 ) -> tuple[str, ...]:
     out = []
+    if mute:
+        out.append(
+            f"{mute} takes more than half of the error on the rows fitted, and the rows held out "
+            "do not decide on it: give records that move to their end."
+        )
     for placed, why in gone.items():
         label = plain_name(placed.label(model))
         out.append(f"{label} is not added: {why}. What is missing may resemble it.")
     if not gone and (left.structured or left.late or left.disturbed):
         out.append(left_words(left, bool(missing)))
-    elif not missing and left.ratio > COLOURED:
+    elif not missing and left.ratio > COLOURED and not mute:
         out.append(
             f"The error is {significant(left.ratio, 3)} times what is new in each sample. Noise "
             "that goes on from sample to sample does that, and so does a disturbance that was not "

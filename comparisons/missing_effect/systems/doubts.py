@@ -269,6 +269,20 @@ def _outfitted(step: ModelRound, winner: ModelCandidate) -> bool:
     return any(e.train > least and not e.at_end for e in unnamed)
 
 
+def undecided(step: ModelRound) -> str:
+    """Return what takes half of the error of an output on rows fitted, if those held out are mute.
+
+    A record that has died out by its last third decides nothing there: a quadratic law of a prey
+    was left out at a chance of 1e-138, and nothing was missing.
+    """
+    least = MOST_LEFT * step.bench.fit.rms
+    for c in step.candidates if step.winner is None else ():
+        halves = c.onward is not None and bool(np.any(c.onward.rms < least))
+        if halves and c.evidence.p_value < LEAST_P and c.evidence.later >= 0.0:
+            return plain_name(label_of(c.added, step.bench.records.model))
+    return ""
+
+
 def left_words(left: Leftover, named: bool) -> str:
     """Say that something is missing that nothing here fits: its size, and what it follows."""
     if named and left.ratio < BARELY:

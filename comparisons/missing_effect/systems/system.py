@@ -203,9 +203,15 @@ class ModelSystem(Bench, System[Placed, Fit]):
         return value <= least
 
     def with_winner(self, step: ModelRound) -> Self:
-        """Return the model with what a round found, its inputs laid between samples again."""
+        """Return the model with what a round found, its inputs laid between samples again.
+
+        Or the model alone, where from the winner's numbers it does as well: another optimum.
+        """
         assert step.winner is not None
-        return self.with_better(step.winner.fit, step.winner.onward).between_chosen()
+        moved = self.with_better(step.winner.fit, step.winner.onward).between_chosen()
+        bare = None if self.found or moved.failed else moved.without_needless(step.winner.added[0])
+        other = bare is not None and bare.fit.cost < self.fit.cost - LEAST_LOST
+        return bare if bare is not None and other and not bare.found else moved
 
     def refitted(self, structure: Structure, theta: FloatArray) -> Self:
         """Return it with another model, in the metric of its own errors again."""
