@@ -23,12 +23,9 @@ from comparisons.missing_effect.where_rows import (
     Where,
 )
 from comparisons.missing_effect.where_spectrum import (
-    Line,
     Power,
     floor_density,
     log_bands,
-    narrow_line,
-    power_bound,
     power_z,
     tapered_power,
 )
@@ -64,7 +61,7 @@ def where_of(given: Residuals) -> Where:
         tapered_power(values, scored, given.runs, given.period_s, bridged=bridged)
         for values in (held, after, given.measured)
     ]
-    background, bands, line = _over_frequency(given, powers)
+    background, frequency = _over_frequency(given, powers)
     blocks = _blocks(given)
     time = tuple(_time_row(given, b, before, after, held, max(background, 1.0)) for b in blocks)
     block = np.full(scored.size, -1)
@@ -72,15 +69,11 @@ def where_of(given: Residuals) -> Where:
         block[rows] = number
     flow, direction = _over_signal(given, scored, block, (before, after, held))
     looked = [z for row in time for z in (row.z_mean, row.z_variance)]
-    looked += [row.z for row in bands] + [direction.z] + ([line.z] if line else [])
+    looked += [row.z for row in frequency] + [direction.z]
     looked += [cell.z for row in flow for cell in row.before.values()]
     looks = int(np.count_nonzero(np.isfinite(looked)))
     bound = -float(ndtri(0.5 * FALSE_ALARM / max(looks, 1)))
-    if line is not None and line.z <= bound:
-        line = None
-    level, per_hz = max(background, 1.0) ** 2, powers[0].per_hz
-    frequency = tuple(_banded(row, bound, level, line, per_hz) for row in bands)
-    return Where(given, time, frequency, flow, direction, line, background, looks, bound)
+    return Where(given, time, frequency, flow, direction, background, looks, bound)
 
 
 def _held_back(values: FloatArray, scored: BoolArray, floor_rms: float) -> FloatArray:
@@ -153,9 +146,7 @@ def _innovations(given: Residuals, held: FloatArray, rows: IntArray) -> tuple[Fl
     return left - (left.mean() if left.size else 0.0), size
 
 
-def _over_frequency(
-    given: Residuals, powers: list[Power]
-) -> tuple[float, list[BandRow], Line | None]:
+def _over_frequency(given: Residuals, powers: list[Power]) -> tuple[float, tuple[BandRow, ...]]:
     before, rows = powers[0], []
     known = math.isfinite(given.floor_rms)
     floor = floor_density(before.frequency_hz, given.floor_rms, given.ar, given.period_s)
@@ -169,16 +160,8 @@ def _over_frequency(
         own = float(np.mean(ratio[inside])) if known else math.nan
         freedom = max(before.per_hz * (high - low), before.bin_freedom)
         z = power_z(own / level, freedom) if known else math.nan
-        rows.append(BandRow(low, high, was, now, measured, share, own, math.nan, z))
-    line = narrow_line(before, ratio, level, given.cycle_hz) if known else None
-    return background, rows, line
-
-
-def _banded(row: BandRow, bound: float, level: float, line: Line | None, per_hz: float) -> BandRow:
-    lines = ("line",) if line and row.low_hz <= line.frequency_hz < row.high_hz else ()
-    most = level * power_bound(bound, max(per_hz * (row.high_hz - row.low_hz), 2.0))
-    known = math.isfinite(row.ratio)
-    return replace(row, lines=lines, ratio_bound=most if known else math.nan)
+        rows.append(BandRow(low, high, was, now, measured, share, own, z))
+    return background, tuple(rows)
 
 
 def _over_signal(

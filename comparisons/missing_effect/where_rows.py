@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.quantities import scale_of
-from comparisons.missing_effect.where_spectrum import Line
 from surge_core.rounding import round_to_error, significant
 from surge_core.types import FloatArray, IntArray
 
@@ -126,11 +125,8 @@ class BandRow:
         the squared unit of the output a hertz.
     share : float
         Share of the power of the residual before that lies in the band.
-    ratio, ratio_bound, z : float
-        Power before over that of the floor, what of it chance reaches, and z; NaN where no floor
-        is known.
-    lines : tuple of str
-        ``"line"`` where one was found in the band.
+    ratio, z : float
+        Power before over that of the floor, and z; NaN where no floor is known.
     """
 
     low_hz: float
@@ -140,9 +136,7 @@ class BandRow:
     measured_psd: float
     share: float
     ratio: float
-    ratio_bound: float
     z: float
-    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -185,8 +179,6 @@ class Where:
         Ranges of the signal.
     direction : Cell
         Mean while the signal falls less that while it rises, before.
-    line : Line or None
-        A narrow line that stands out of its neighbourhood, before.
     background : float
         rms of the quietest quarter of the spectrum over the floor; NaN where none is known.
     looks : int
@@ -200,7 +192,6 @@ class Where:
     frequency: tuple[BandRow, ...]
     flow: tuple[SignalRow, ...]
     direction: Cell
-    line: Line | None
     background: float
     looks: int
     bound_z: float
@@ -210,7 +201,7 @@ class Where:
         """The panels in which something lies beyond what chance reaches, the strongest first."""
         found = {
             "time": [row.z for row in self.time],
-            "frequency": [row.z for row in self.frequency] + [self.line.z if self.line else 0.0],
+            "frequency": [row.z for row in self.frequency],
             "flow": [abs(cell.z) for row in self.flow for cell in row.before.values()]
             + [abs(self.direction.z)],
         }
@@ -305,11 +296,9 @@ def _of_frequency(where: Where) -> str:
         listed = "more than" if part > 100.0 else f"{shown} % of"
         holds += f", {listed} what was measured there"
     floor = f" and is {row.ratio:.3g} times the noise" if judged else ""
-    line = where.line
-    tail = f"; a line at {line.frequency_hz:.3g} Hz stands out, z {line.z:.1f}" if line else ""
     if judged and not beyond:
-        return f"over frequency: no band stands out{tail}"
-    return f"over frequency: {band} {holds}{floor}{tail}"
+        return "over frequency: no band stands out"
+    return f"over frequency: {band} {holds}{floor}"
 
 
 def _of_signal(where: Where) -> str:

@@ -1,4 +1,4 @@
-"""The spectrum of a residual over that of its floor: density, bands, background, narrow lines."""
+"""The spectrum of a residual over that of its floor: density, bands, background."""
 
 from __future__ import annotations
 
@@ -18,21 +18,6 @@ BANDS = 24
 QUIET_QUANTILE_Z, QUIET_SHARE = -0.6745, 0.25
 # The floor's power is itself an estimate, and so is the shape of an autoregression's spectrum.
 FLOOR_UNCERTAINTY = 0.05
-NEIGHBOURS = 64
-LINE_BINS = (1, 4, 16, 64)
-# Harmonics reach some ten times the frequency of a cycle. What jumps once a cycle has a spectrum
-# that falls as 1/f² and no slower, so that a line must stand above that of what lies below.
-FAR_ABOVE, JUMP_MARGIN, CERTAIN_Z = 10.0, 3.0, 4.0
-# Where a line is: the centre of what stands above a quarter of its height.
-LINE_FOOT = 0.25
-
-
-@dataclass(frozen=True)
-class Line:
-    """A narrow line, and how far it stands out, all frequencies and widths counted."""
-
-    frequency_hz: float
-    z: float
 
 
 @dataclass(frozen=True)
@@ -127,44 +112,6 @@ def log_bands(
     ]
 
 
-def narrow_line(power: Power, ratio: FloatArray, background: float, cycle_hz: float) -> Line | None:
-    """Return the line far above the main cycle that stands highest over its neighbourhood.
-
-    Lines of several widths are looked for: stall cells begin in another phase in every episode,
-    which spreads their line over the inverse of its duration. None where there are too few
-    frequencies or where a jump in each cycle would do; below ten times ``cycle_hz``, the main
-    frequency of what drives, a line may be a harmonic. ``background`` is the power of the quiet
-    part over the floor, at least 1; ``ratio`` the residual's over the floor's.
-    """
-    frequency = power.frequency_hz
-    lowest = FAR_ABOVE * cycle_hz if cycle_hz > 0.0 else 2.0 * power.resolution_hz
-    first = max(int(np.searchsorted(frequency, lowest)), 1)
-    seen = ratio[first:-1]
-    if seen.size < NEIGHBOURS // 4:
-        return None
-    step_hz = float(frequency[1])
-    widths = [width for width in LINE_BINS if width == 1 or 8 * width <= seen.size]
-    found = []
-    for width in widths:
-        total = np.concatenate([[0.0], np.cumsum(seen)])
-        mean = (total[width:] - total[:-width]) / width
-        freedom = max(power.bin_freedom, power.per_hz * width * step_hz)
-        over = mean / _neighbourhood(mean, max(NEIGHBOURS, 8 * width), freedom, background)
-        top = int(np.argmax(over))
-        z = _counted(power_z(float(over[top]), freedom), mean.size * len(widths))
-        found.append((z, width, top, float(mean[top])))
-    z, width, top, height = max(found)
-    own = slice(max(first + top - 1, 0), first + top + width + 1)
-    weight = np.maximum(ratio[own] - LINE_FOOT * float(ratio[own].max()), 0.0)
-    at_hz = float(weight @ frequency[own] / max(float(weight.sum()), 1e-300))
-    below = slice(1, first)
-    certain = np.maximum(ratio[below] - power_bound(CERTAIN_Z, power.bin_freedom, known=True), 0.0)
-    jump = float(np.max(certain * frequency[below] ** 2, initial=0.0))
-    if (height - 1.0) * at_hz**2 < JUMP_MARGIN * jump:
-        return None
-    return Line(at_hz, z)
-
-
 def power_z(ratio: float, freedom: float, *, known: bool = False) -> float:
     """Return z of a mean power over its expectation, χ²_ν/ν, by Wilson and Hilferty (1931).
 
@@ -182,21 +129,3 @@ def power_bound(z: float, freedom: float, *, known: bool = False) -> float:
 
 def _width(freedom: float, *, known: bool) -> float:
     return 2.0 / 9.0 * (1.0 / freedom + (0.0 if known else 0.5 * FLOOR_UNCERTAINTY**2))
-
-
-def _counted(z: float, looks: int) -> float:
-    """Return the z of the largest of so many looks, by Bonferroni's bound."""
-    from scipy.special import log_ndtr, ndtri_exp
-
-    return float(-ndtri_exp(min(float(log_ndtr(-z)) + math.log(looks), -1e-12)))
-
-
-def _neighbourhood(power: FloatArray, bins: int, freedom: float, background: float) -> FloatArray:
-    """Return the level that a line stands on: medians of its neighbours, joined by lines."""
-    parts = np.array_split(np.arange(power.size), max(power.size // bins, 1))
-    level = np.interp(
-        np.arange(power.size),
-        [float(part.mean()) for part in parts],
-        [float(np.median(power[part])) for part in parts],
-    )
-    return np.maximum(level / power_bound(0.0, freedom, known=True), background)
