@@ -9,13 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, diagnose_data
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z
-from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
-from comparisons.missing_effect.loading import block_rows
 from comparisons.missing_effect.planting import Planter
 from comparisons.missing_effect.quantities import size_words, symbol
 from surge_core.errors import require
@@ -23,12 +20,8 @@ from surge_core.threads import one_thread
 
 # Share of the trials in which an effect of its limit is named.
 SHARE = 0.9
-# A first search asks only whether the effect would be accepted against the model without it; it
-# steps by this factor until the limit lies between two sizes, then halves the step twice.
-STEP = 1.4
-HALVINGS = 2
-MOST_STEPS = 12
-# Then the whole workflow, rivals and all, has to name it: the size grows by this until it does.
+# From the size that should be accepted on, the size goes by this factor until the whole workflow,
+# rivals and all, just names it.
 GROWTH = 1.2
 MOST_GROWTHS = 6
 # The check plants this many times the limit. Where it fails the limit is sought higher, so many
@@ -239,9 +232,6 @@ def _why_never(diagnosis: LagDiagnosis) -> str:
     return ""
 
 
-_Test = Callable[[Effect, float, int, int], bool]
-
-
 @dataclass(frozen=True)
 class _Drill:
     """Trials on one set of records."""
@@ -262,11 +252,13 @@ class _Drill:
         first = self._first_size(effect)
         if first is None:
             return replace(none, why_none="these records show no trace of it, however large")
-        size, found = self._accepted_from(effect, first), none
+        size, found = first, none
         for attempt in range(ATTEMPTS):
             size, named = self._named_from(effect, size)
             if named < self.needed:
                 return replace(none, why_none=f"not named up to {size_words(size, none.unit)}")
+            if size == first:
+                size, named = self._lowered(effect, size, named)
             found = self._found(effect, size, named, attempt)
             if found.check_named >= self.needed:
                 break
@@ -274,10 +266,19 @@ class _Drill:
             size = found.check_size
         return found
 
+    def _lowered(self, effect: Effect, size: float, named: int) -> tuple[float, int]:
+        """Return a smaller size at which the workflow still names an effect, and how often."""
+        for _ in range(MOST_GROWTHS):
+            fewer = self._trials(effect, size / GROWTH)
+            if fewer < self.needed:
+                break
+            size, named = size / GROWTH, fewer
+        return size, named
+
     def _named_from(self, effect: Effect, size: float) -> tuple[float, int]:
         """Return the size from which on the whole workflow names an effect, and how often."""
         for _ in range(MOST_GROWTHS):
-            named = self._trials(effect, size, self._named)
+            named = self._trials(effect, size)
             if named >= self.needed or size >= _largest(effect):
                 break
             size = min(GROWTH * size, _largest(effect))
@@ -336,52 +337,17 @@ class _Drill:
         # The held-out rows, about as many, must win as well.
         return max(0.5 * twice, (LEAST_Z + NINE_OF_TEN) ** 2)
 
-    def _accepted_from(self, effect: Effect, first: float) -> float:
-        """Bisect the size from which on the effect is accepted against the model without it."""
-        largest, size = _largest(effect), first
-        low, high = 0.0, math.inf
-        for _ in range(MOST_STEPS):
-            if self._trials(effect, size, self._accepted) >= self.needed:
-                high, size = size, size / STEP
-            else:
-                low, size = size, min(size * STEP, largest)
-            if low > 0.0 and (math.isfinite(high) or low >= largest):
-                break
-        if not math.isfinite(high):
-            return low
-        for _ in range(HALVINGS if low > 0.0 else 0):
-            middle = math.sqrt(low * high)
-            if self._trials(effect, middle, self._accepted) >= self.needed:
-                high = middle
-            else:
-                low = middle
-        return high
-
-    def _trials(self, effect: Effect, size: float, test: _Test) -> int:
-        """Run trials until it is clear whether enough pass; return how many did."""
+    def _trials(self, effect: Effect, size: float) -> int:
+        """Run trials until it is clear whether enough name the effect; return how many did."""
         passed = run = 0
         while run < self.trials and run - passed <= self.trials - self.needed:
-            passed += test(effect, size, TRIALS, run)
+            passed += self._named(effect, size, TRIALS, run)
             run += 1
         return passed
 
-    def _measured(self, effect: Effect, size: float, kind: int, trial: int) -> LagData:
-        rng = np.random.default_rng([0, kind, trial])
-        clean = self.planter.planted(effect, size, rng)
-        return self.planter.measured(clean, rng)
-
-    def _accepted(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
-        """Tell whether the effect alone is accepted, without rivals."""
-        data, fit = self._measured(effect, size, kind, trial), self.planter.fit
-        metric = self.planter.noise.metric()
-        bench = Bench.start(
-            data, fit.structure, metric, [fit.nonlinear], block_rows(data), len(self.catalogue)
-        )
-        race = bench.tried([effect], ())
-        return any(race.system.weighed(c).accepted for c in race.candidates)
-
     def _named(self, effect: Effect, size: float, kind: int, trial: int) -> bool:
-        data = self._measured(effect, size, kind, trial)
+        rng = np.random.default_rng([0, kind, trial])
+        data = self.planter.measured(self.planter.planted(effect, size, rng), rng)
         found = diagnose_data(data, self.terms, catalogue=self.catalogue)
         return any(effect.name in item.alias_set and not item.provisional for item in found.missing)
 
