@@ -48,7 +48,7 @@ def diagnosis_document(
     document: dict[str, Any] = {
         "schema": DIAGNOSE_SCHEMA,
         "verdict": d.verdict,
-        "words": verdict_words(d, limited=limits is not None, separated=separation is not None),
+        "words": verdict_words(d),
         "candidates": [_candidate(row) for row in d.candidates],
         "parameters": [asdict(row) for row in d.parameters],
         "test_rmse": rmse_of([run for run in d.runs if run.held_out]),

@@ -14,16 +14,7 @@ from surge_core.types import FloatArray, IntArray
 
 # No "nnan" and no "ninf": outliers must still come out as what they are.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile with an on-disk cache where some directory can be written, else without."""
-    options: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
-    try:
-        machine: Callable[..., Any] = njit(cache=True, **options)(function)
-    except RuntimeError:
-        machine = njit(**options)(function)
-    return machine
+compiled: Callable[..., Any] = njit(cache=True, fastmath=FAST, error_model="numpy")
 
 
 @compiled

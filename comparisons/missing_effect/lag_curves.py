@@ -1,4 +1,4 @@
-"""What a fitted lag model does: its characteristic, what each effect adds, and both as JSON."""
+"""The characteristic of a fitted lag model, and what its JSON says of it and of its records."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.missing_effect.catalogue.workings import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, Run, laid_out
-from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.quantities import model_equation
 from surge_core.types import FloatArray
 
 CURVE_POINTS = 241
-# After so many τ less than 1 % of how a run was started is left.
-SETTLING_TAUS = 5.0
 
 
 @dataclass(frozen=True)
@@ -51,21 +47,6 @@ def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
         ends = (float(data["Nc_frac"].min()), float(data["Nc_frac"].max()))
         states = [(f"at N_c {end:.4g}", middle, end) for end in ends]
     return tuple(curve for state in states for curve in _sweep(fit, data, *state))
-
-
-def contributions(fit: Fit, data: LagData) -> dict[str, float]:
-    """Return the rms of what each effect adds to the free run of a model.
-
-    It is the free run with everything, less the same with this effect's amplitude at zero, over
-    the scored rows that no longer show how a run was started.
-    """
-    data = with_own_state(data, fit)
-    full, shown = fit.output(data), _settled(fit, data)
-    out = {}
-    for effect in fit.structure.effects:
-        value = full - fit.without_amplitude(effect, data).output(data)
-        out[effect.name] = float(np.sqrt(np.mean(value[shown] ** 2)))
-    return out
 
 
 def records_document(data: LagData) -> list[dict[str, Any]]:
@@ -106,16 +87,6 @@ def model_document(fit: Fit, data: LagData) -> dict[str, Any]:
             for curve in steady_curves(fit, data)
         ],
     }
-
-
-def _settled(fit: Fit, data: LagData) -> NDArray[np.bool_]:
-    """Return the scored rows behind the start of their run, which is none of an effect's."""
-    shown = data.scored()
-    lead = int(np.ceil(SETTLING_TAUS * fit.tau_s / data.sample_period_s))
-    for rows in data.slices:
-        first = min(lead, (rows.stop - rows.start) // 3)
-        shown[rows.start : rows.start + first] = False
-    return shown
 
 
 def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:

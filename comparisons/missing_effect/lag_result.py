@@ -17,7 +17,7 @@ from comparisons.missing_effect.candidates import LagCandidate, LagRound
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
-from comparisons.missing_effect.lag_curves import contributions, model_document, records_document
+from comparisons.missing_effect.lag_curves import model_document, records_document
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.noise import Metric, NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
@@ -316,12 +316,9 @@ class LagDiagnosis(Diagnosis):
 
     def own_document(self) -> dict[str, Any]:
         """Return what the JSON of a lag has beside that of all."""
-        adds, tau = contributions(self.after, self.data), self.parameters[0]
+        tau = self.parameters[0]
         return {
-            "missing": [
-                {"port": item.place["port"], "contribution_rms": adds.get(item.effect)}
-                for item in self.missing
-            ],
+            "missing": [{"port": item.place["port"]} for item in self.missing],
             "time_constant_s": {
                 "before": tau.before,
                 "after": tau.after,
@@ -332,14 +329,6 @@ class LagDiagnosis(Diagnosis):
             "whole_runs": self.whole_runs,
             "noise": _some(self.noise, _NOISE),
             "leftover": _some(self.leftover, _LEFTOVER),
-            "rounds": [
-                {
-                    "model": list(step.bench.fit.structure.names),
-                    "added": None if step.winner is None else [e.name for e in step.winner.added],
-                    "leftover": _some(step.leftover, _LEFTOVER),
-                }
-                for step in self.rounds
-            ],
             "base": {"terms": list(self.before.structure.terms)},
             "records": records_document(self.data),
             "model": {

@@ -75,7 +75,6 @@ def diagnosis_parts(
     brief : bool
         Without the picture, the equations of the model and the ends of long tables.
     """
-    words = verdict_words(d, limited=limits is not None, separated=separation is not None)
     where = [said for one in d.wheres for said in describe(one, two=bool(d.missing))]
     on = f", on {', '.join(d.wheres[0].of.record_names)}" if d.wheres else ""
     noise = (Words(d.noise_said),) if d.verdict != "noise_model_wrong" and d.noise_said else ()
@@ -83,7 +82,7 @@ def diagnosis_parts(
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
             (
-                Words(words, "plain" if d.verdict in CLEAR else "caution"),
+                Words(verdict_words(d), "plain" if d.verdict in CLEAR else "caution"),
                 *(() if brief else (_picture(d),)),
             ),
         ),

@@ -270,10 +270,8 @@ def _of_time(where: Where, two: bool) -> str:
         scale_of(unit, [size]).text(size) for size in (top.before_rms, typical, top.after_rms)
     )
     block = f"{top.from_s:.4g} to {top.to_s:.4g} s of {top.record}"
-    numbers = (
-        f"rms {worst} where the median block has {middle}"
-        f"{f', and {left} there after' if two else ''}"
-    )
+    numbers = f"rms {worst} where the median block has {middle}"
+    numbers += f", and {left} there after" if two else ""
     if not judged:
         return f"in time: the residual is largest from {block}, {numbers}"
     if top.z > where.bound_z:
@@ -282,11 +280,12 @@ def _of_time(where: Where, two: bool) -> str:
 
 
 def _of_frequency(where: Where) -> str:
-    share = [row.share for row in where.frequency]
-    if not np.any(np.isfinite(share)):
+    if not any(math.isfinite(row.share) for row in where.frequency):
         return "over frequency: no residual to look at"
     judged = any(math.isfinite(row.z) for row in where.frequency)
     beyond = [r for r in where.frequency if r.z > where.bound_z]
+    if judged and not beyond:
+        return "over frequency: no band stands out"
     row = max(beyond or where.frequency, key=lambda r: r.share)
     band = f"the band from {row.low_hz:.3g} to {row.high_hz:.3g} Hz"
     holds = f"holds {100.0 * row.share:.0f} % of its power"
@@ -296,8 +295,6 @@ def _of_frequency(where: Where) -> str:
         listed = "more than" if part > 100.0 else f"{shown} % of"
         holds += f", {listed} what was measured there"
     floor = f" and is {row.ratio:.3g} times the noise" if judged else ""
-    if judged and not beyond:
-        return "over frequency: no band stands out"
     return f"over frequency: {band} {holds}{floor}"
 
 

@@ -34,6 +34,10 @@ _LEADS = {
     "white and normal.",
 }
 _SEPARATE = "--separate says which further measurement would, from simulation."
+_LIMIT = (
+    "That has a limit: an effect that is small enough goes unseen, and --limits, which plants each "
+    "into these records, says how small."
+)
 _STIFF = (
     "The base terms are too stiff for these records: a higher --degree, or --base sindy, takes the "
     "bend into the characteristic itself."
@@ -78,24 +82,15 @@ MOST_ALIASES = 4
 LEAST_FALL = 1e-3
 
 
-def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = False) -> str:
-    """Say the verdict in one paragraph.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
-    limited, separated : bool
-        Whether limits and separating measurements are reported elsewhere, so that no option that
-        would find them is named.
-    """
+def verdict_words(d: Diagnosis) -> str:
+    """Say the verdict in one paragraph."""
     if d.missing:
         several = any(len(item.alias_set) > 1 for item in d.missing)
         said = [
             _worse_words(d),
             verdict_sentence(d),
             *beside_words(d),
-            _SEPARATE if d.of_series and several and not separated else "",
+            _SEPARATE if d.of_series and several else "",
             _STIFF if "characteristic_shape" in d.names else "",
             _bound_words(d),
             *map(_sentence, d.remarks),
@@ -112,13 +107,8 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
             *map(_sentence, d.remarks),
         ]
         if d.of_series:
-            said.append(_FURTHER if d.verdict == "unexplained_structure" else _limit(limited))
+            said.append(_FURTHER if d.verdict == "unexplained_structure" else _LIMIT)
     return " ".join(filter(None, said))
-
-
-def _limit(limited: bool) -> str:
-    how = "the limits below say" if limited else "--limits plants each into these records and says"
-    return f"That has a limit: an effect that is small enough goes unseen, and {how} how small."
 
 
 def verdict_sentence(d: Diagnosis) -> str:
