@@ -101,31 +101,25 @@ class Measurement:
         What it is called, and what is done.
     distances : tuple of Distance
         One for each truth and each rival.
+    sigma, asked_sigma : float
+        The least of the distances, whichever of the effects is there; from where on it would tell.
+    tells_apart : bool
+        Whether it tells every member from every other.
     """
 
     name: str
     says: str
     distances: tuple[Distance, ...]
+    sigma: float
+    asked_sigma: float
+    tells_apart: bool
 
-    @property
-    def sigma(self) -> float:
-        """The least of the distances, whichever of the effects is there."""
-        return min(distance.sigma for distance in self.distances)
-
-    @property
-    def tells_apart(self) -> bool:
-        """Whether it tells every member from every other."""
-        return all(distance.sigma >= distance.asked for distance in self.distances)
-
-    @property
-    def asked(self) -> float:
-        """From where on it would."""
-        return max(distance.asked for distance in self.distances)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the measurement as plain JSON types."""
-        own = {"sigma": self.sigma, "asked_sigma": self.asked, "tells_apart": self.tells_apart}
-        return {**asdict(self), **own}
+    @classmethod
+    def of(cls, change: Change, distances: tuple[Distance, ...]) -> Measurement:
+        """Return the measurement that a change makes, by its distances."""
+        least, most = min(d.sigma for d in distances), max(d.asked for d in distances)
+        apart = all(d.sigma >= d.asked for d in distances)
+        return cls(change.name, change.says, distances, least, most, apart)
 
 
 @dataclass(frozen=True)
@@ -160,14 +154,14 @@ class SetSeparation:
         """What the experiments would tell, a line each."""
         width = max(len(m.says) for m in self.measurements)
         rows = [
-            f"  {m.says:<{width}}  {m.sigma:6.1f} σ of {m.asked:4.1f}"
+            f"  {m.says:<{width}}  {m.sigma:6.1f} σ of {m.asked_sigma:4.1f}"
             f"{'' if m.tells_apart else '  not enough'}"
             for m in self.measurements
         ]
         names = " | ".join(self.alias_set)
         head = (
             f"{names}: {self.as_recorded.sigma:.1f} σ apart on these records, all rows together; "
-            f"from {self.as_recorded.asked:.1f} σ on they would be separated"
+            f"from {self.as_recorded.asked_sigma:.1f} σ on they would be separated"
         )
         best = self.best
         if best is not None:
@@ -176,16 +170,6 @@ class SetSeparation:
             advice = ["  none of these tells them apart; what would confirm each:"]
             advice += [f"  {name}: {words}" for name, words in self.confirm.items()]
         return (head, *rows, *advice)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the set as plain JSON types."""
-        return {
-            "alias_set": list(self.alias_set),
-            "as_recorded": self.as_recorded.to_json(),
-            "measurements": [m.to_json() for m in self.measurements],
-            "best": None if self.best is None else self.best.name,
-            "confirm": dict(self.confirm),
-        }
 
 
 @dataclass(frozen=True)
@@ -209,7 +193,8 @@ class Separation:
 
     def to_json(self) -> dict[str, Any]:
         """Return the separation as plain JSON types."""
-        return {"told_apart_at_sigma": TOLD_APART, "sets": [one.to_json() for one in self.sets]}
+        sets = [{**asdict(one), "best": one.best and one.best.name} for one in self.sets]
+        return {"told_apart_at_sigma": TOLD_APART, "sets": sets}
 
 
 def separating_measurements(
@@ -237,12 +222,12 @@ def separating_measurements(
         rivals = _Rivals.of(diagnosis, item.effect, [known[name] for name in names])
         rng = np.random.default_rng(0)
         before, *made = (
-            Measurement(change.name, change.says, rivals.distances(change, rng))
+            Measurement.of(change, rivals.distances(change, rng))
             for change in (AS_RECORDED, *changes)
         )
         if len({name in OF_ONE_TAP for name in names}) > 1:
             tap = rivals.with_second_tap(before.distances)
-            made.append(Measurement(SECOND_TAP.name, SECOND_TAP.says, tap))
+            made.append(Measurement.of(SECOND_TAP, tap))
         confirm = {name: known[name].confirm for name in names}
         sets.append(SetSeparation(names, before, tuple(made), confirm))
     return Separation(tuple(sets))
