@@ -76,6 +76,15 @@ class AddedEffect:
         rows = zip(self.effect.parameters, self.values, self.stderr, strict=True)
         return tuple(FittedParameter(p.name, value, error, p.unit) for p, value, error in rows)
 
+    def bend(self, phi: FloatArray, terms: Sequence[str]) -> FloatArray:
+        """Return the columns that bend the characteristic of base terms at φ; none where none."""
+        if self.name == "reverse_flow_branch":
+            return evaluate_terms(["phi^2[phi<0]"], phi)
+        if self.name == "characteristic_shape":
+            intervals, low, high = self.nonlinear
+            return shape_columns(phi, (low, high), int(intervals), n_powers(terms))
+        return np.zeros((phi.size, 0))
+
     def to_json(self) -> dict[str, Any]:
         """Return the value as plain JSON types, NaN for what is not known."""
         return {
@@ -141,12 +150,9 @@ class ExtendedLag:
         at = np.asarray(phi, dtype=np.float64)
         value = evaluate_terms(list(self.lag.terms), at) @ np.asarray(self.lag.coefficients)
         for one in self.effects:
-            if one.name == "reverse_flow_branch" and one.coefficients:
-                value = value + evaluate_terms(["phi^2[phi<0]"], at)[:, 0] * one.coefficients[0]
-            elif one.name == "characteristic_shape" and one.coefficients:
-                intervals, low, high = one.nonlinear
-                n = n_powers(self.lag.terms)
-                value = value + shape_columns(at, (low, high), int(intervals), n) @ one.coefficients
+            if one.fitted:
+                columns = one.bend(at, self.lag.terms)
+                value = value + columns @ np.array(one.coefficients[: columns.shape[1]])
         return np.asarray(value)
 
     def called(self, name: str) -> ExtendedLag:

@@ -21,13 +21,12 @@ from comparisons.missing_effect.extended_lag import (
     on_segments,
 )
 from comparisons.missing_effect.fit import TERMS, Fit, Structure
-from comparisons.missing_effect.lag_curves import bent_ports
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.lag_result import LagDiagnosis
 from comparisons.missing_effect.loading import block_rows, load_data
 from comparisons.missing_effect.noise import Metric, weights_of
 from comparisons.missing_effect.probes import Prober
-from comparisons.results import FitRows, FittedLag
+from comparisons.results import FitRows, FittedLag, evaluate_terms
 from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
@@ -142,7 +141,7 @@ def model_of(fit: Fit, bench: Bench) -> ExtendedLag:
         tuple(stderr.tolist()),
         "first",
         trusted_range(phi),
-        _table(fit, data, linear, phi),
+        _table(fit, data, effects, linear, phi),
         int(bench.rows.block.max()) + 1,
     )
     return ExtendedLag(
@@ -151,16 +150,20 @@ def model_of(fit: Fit, bench: Bench) -> ExtendedLag:
 
 
 def _table(
-    fit: Fit, data: LagData, covariance: FloatArray, phi: FloatArray
+    fit: Fit,
+    data: LagData,
+    effects: Sequence[AddedEffect],
+    covariance: FloatArray,
+    phi: FloatArray,
 ) -> tuple[tuple[float, float, float], ...]:
     """Return the characteristic over the range of φ with its standard error."""
     grid = np.linspace(float(phi.min()), float(phi.max()), CURVE_POINTS)
-    bending = [effect for effect in fit.structure.in_order if effect.name in BENDING]
-    ports = bent_ports(fit, data, grid, bending)
-    columns = np.column_stack([ports.driven, ports.added])
-    slices = fit.structure.layout(data, fit.nonlinear)
-    # In the order of the coefficients: what the lag passes, then what is added behind it.
-    rows = np.r_[tuple(slices[name] for name in slices if name in (TERMS, *BENDING))]
+    terms, slices = fit.structure.terms, fit.structure.layout(data, fit.nonlinear)
+    bends = {one.name: one.bend(grid, terms) for one in effects}
+    bends[TERMS] = evaluate_terms(list(terms), grid)
+    names = [name for name in slices if name in (TERMS, *BENDING)]
+    columns = np.column_stack([bends[name] for name in names])
+    rows = np.r_[tuple(slices[name] for name in names)]
     variance = np.einsum("ij,jk,ik->i", columns, covariance[np.ix_(rows, rows)], columns)
     table = grid, columns @ fit.coefficients[rows], np.sqrt(np.maximum(variance, 0.0))
     return tuple(zip(*(column.tolist() for column in table), strict=True))

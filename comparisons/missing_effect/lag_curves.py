@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from comparisons.missing_effect.catalogue.workings import clock_s
-from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData, Run, laid_out
 from comparisons.missing_effect.ports import Ports
@@ -90,7 +88,10 @@ def model_document(fit: Fit, data: LagData) -> dict[str, Any]:
 
 
 def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:
-    """Sweep φ slowly from the top of its range to the bottom and back."""
+    """Sweep φ slowly from the top of its range to the bottom and back.
+
+    The clock is in seconds from its zero.
+    """
     shown = data.scored()
     if "stalled" in data:
         # The unstalled branch has a curve of its own.
@@ -99,8 +100,12 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
     low, high = float(seen.min()), float(seen.max())
     grid = np.linspace(low, high, CURVE_POINTS)
     phi = np.concatenate([grid[::-1], grid])
-    acting = [effect for effect in fit.structure.in_order if effect.port == "characteristic"]
-    ports = bent_ports(fit, data, phi, acting, clock, speed)
+    slow = _slow_data(data, phi, clock, speed)
+    ports = Ports.of(slow, phi, fit.structure.terms)
+    slow = slow.with_signal("state", ports.driven @ fit.coefficients[: len(fit.structure.terms)])
+    for effect in fit.structure.in_order:
+        if effect.port == "characteristic":
+            ports = effect.acts(ports, slow, fit.values_of(effect))
     q = ports.driven.shape[1]
     # A loss without the lag is part of what a steady test would find.
     behind = fit.coefficients[q + data.nuisance.shape[1] :][: ports.added.shape[1]]
@@ -112,28 +117,6 @@ def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> t
         Curve(f"φ falling {label}".strip(), grid, falling),
         Curve(f"φ rising {label}".strip(), grid, rising),
     )
-
-
-def bent_ports(
-    fit: Fit,
-    data: LagData,
-    phi: FloatArray,
-    effects: Sequence[Effect],
-    clock: float = 0.0,
-    speed: float = 1.0,
-) -> Ports:
-    """Return what stands at the ports while φ moves slowly, once some effects of a fit have acted.
-
-    The clock is in seconds from its zero; effects that are not functions of φ alone depend on it
-    and on speed.
-    """
-    slow = _slow_data(data, phi, clock, speed)
-    ports = Ports.of(slow, phi, fit.structure.terms)
-    own = fit.coefficients[: len(fit.structure.terms)]
-    slow = slow.with_signal("state", ports.driven @ own)
-    for effect in effects:
-        ports = effect.acts(ports, slow, fit.values_of(effect))
-    return ports
 
 
 def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> LagData:
