@@ -60,11 +60,11 @@ class Limit:
         standard deviations of the noise.
     at : mapping of str to float
         Its other parameters, where it was planted.
-    named, trials : int
+    named : int
         How often it was named at that size.
     check_size : float
         The size of the check.
-    check_named, check_trials : int
+    check_named : int
         How often it was named in fresh trials at that size.
     why_none : str
         Why there is no limit; empty where there is one.
@@ -77,10 +77,8 @@ class Limit:
     excess_sigma: float = math.nan
     at: Mapping[str, float] = field(default_factory=dict)
     named: int = 0
-    trials: int = 0
     check_size: float = math.nan
     check_named: int = 0
-    check_trials: int = 0
     why_none: str = ""
 
     @property
@@ -94,7 +92,7 @@ class Limit:
         unknown = [name for name in sizes if math.isnan(getattr(self, name))]
         return {**asdict(self), **dict.fromkeys(unknown)}
 
-    def _cells(self) -> tuple[str, str, str, str]:
+    def _cells(self, trials: int) -> tuple[str, str, str, str]:
         """Return effect, size, excess and check as they are printed."""
         at = ", ".join(
             LAGGED[value] if name == "lagged" else f"{symbol(name)} {value:.3g}"
@@ -103,9 +101,9 @@ class Limit:
         )
         size = f"{symbol(self.parameter)} = {size_words(self.size, self.unit)}"
         excess = f"{self.excess_sigma:.2f} σ" if math.isfinite(self.excess_sigma) else ""
-        check = f"{self.check_named} of {self.check_trials} at {CHECKED_AT:g} times that"
+        check = f"{self.check_named} of {trials} at {CHECKED_AT:g} times that"
         at_words = f" ({at})" if at else ""
-        return self.effect, size + at_words, excess, check if self.check_trials else ""
+        return self.effect, size + at_words, excess, check if trials else ""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,8 @@ class Limits:
     @property
     def lines(self) -> tuple[str, ...]:
         """What the limits say, a line an effect."""
-        cells = [row._cells() for row in self.rows if row.found]
+        found = [row for row in self.rows if row.found]
+        cells = [row._cells(self.trials) for row in found]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [
             f"Smallest effect that would have been named in {100 * self.share:.0f} % of "
@@ -149,10 +148,10 @@ class Limits:
             for name, size, excess, check in cells
         ]
         lines += [f"{row.effect}: no limit, {row.why_none}" for row in self.rows if not row.found]
-        if checked := sum(row.check_trials for row in self.rows):
+        if checked := self.trials * len(found):
             lines.append(
                 f"check: {CHECKED_AT:g} times the limit, planted in fresh trials, was named in "
-                f"{sum(row.check_named for row in self.rows)} of {checked}; a limit whose check "
+                f"{sum(row.check_named for row in found)} of {checked}; a limit whose check "
                 "had failed was raised"
             )
         return tuple(lines)
@@ -293,12 +292,10 @@ class _Drill:
             excess_sigma=self._promise(effect, size)[1],
             at=dict(zip(others, self.planter.shape(effect).tolist(), strict=True)),
             named=named,
-            trials=self.trials,
             check_size=check_size,
             check_named=sum(
                 self._named(effect, check_size, FRESH + attempt, i) for i in range(self.trials)
             ),
-            check_trials=self.trials,
         )
 
     def _promise(self, effect: Effect, size: float) -> tuple[float, float]:

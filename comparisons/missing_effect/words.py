@@ -19,7 +19,6 @@ from comparisons.missing_effect.results import (
     LEAST_SIZE,
     MUCH_CORRELATED,
     SIZE,
-    CandidateRow,
     Diagnosis,
     MissingEffect,
 )
@@ -59,13 +58,6 @@ _ON = {
     "left out": "on cycles left out",
     "held out": "on rows held out",
     "fitted": "on the fitted records",
-}
-_ROWS = {
-    "fitted rows": "on the fitted rows",
-    "later time": "on later time",
-    "other record": "on the other record",
-    "held-out blocks": "in most held-out blocks",
-    "end of the search": "within the bounds of its numbers",
 }
 # Where an effect of a user's model acts, the most telling first.
 _PLACES = {
@@ -291,16 +283,7 @@ def _refused_words(d: Diagnosis) -> str:
     n = len({row.label for row in rows if row.kind == "name"})
     if best is None or any(row.fate == "too little" for row in d.candidates):
         return f"None of {n} effects tried was worth adding." if n else ""
-    name = plain_name(best.label)
-    return f"None of {n} effects tried was accepted; the best, {name}, {_too_small(best)}."
-
-
-def _too_small(row: CandidateRow) -> str:
-    if np.isfinite(row.share):
-        what = "cycles left out" if row.share >= row.least_share else "twins of these records"
-        return f"explains {100.0 * row.share:.0f} % of the squared errors: no more than of {what}"
-    on = _listed([_ROWS[name] for name in row.refused_on]) if row.refused_on else ""
-    return f"gains no more than chance {on}".rstrip()
+    return f"None of {n} effects tried was accepted; the best was {plain_name(best.label)}."
 
 
 def _left_words(d: Diagnosis) -> str:
