@@ -20,8 +20,6 @@ from comparisons.missing_effect.ports import n_powers
 from comparisons.missing_effect.probes import Prober
 from surge_core.types import FloatArray
 
-# A branch between the quartiles of φ is on either side for a good part of every cycle.
-BRANCH_QUANTILES = (0.25, 0.75)
 # A bump in the middle of the range of φ, of this width as a share of it, on so many intervals.
 BUMP_WIDTH, BUMP_INTERVALS = 0.15, 7
 # A ripple at a frequency that is no simple share of the sample rate.
@@ -58,13 +56,12 @@ class Planter:
 
     def shape(self, effect: Effect) -> FloatArray:
         """Return where an effect is planted: its searched parameters beside the amplitude."""
-        if effect.name == "hysteresis":
-            return np.quantile(self._phi, BRANCH_QUANTILES)
         if effect.name == "characteristic_shape":
             return np.array([float(BUMP_INTERVALS), *self.data.references.phi_range])
         if effect.episodes:
             frequency_hz = RIPPLE_SHARE / self.data.sample_period_s
-            return np.array([frequency_hz, float(np.median(self._phi))])
+            phi = self.data.sampled(self.data["phi"])[self.data.scored()]
+            return np.array([frequency_hz, float(np.median(phi))])
         starts = effect.starts(self.data)
         held = any(p.kind == "held" for p in effect.nonlinear)
         # Of values held at one of a few the first is the plain case; of a search, the middle.
@@ -156,10 +153,6 @@ class Planter:
         train, rows = self.data.train, self.data.train_rows
         plain = Metric(self.noise.sigma)
         return Prober(self.fit, train, self.noise.metric().on(rows)), Prober(self.fit, train, plain)
-
-    @property
-    def _phi(self) -> FloatArray:
-        return self.data.sampled(self.data["phi"])[self.data.scored()]
 
     @cached_property
     def _bump(self) -> FloatArray:
