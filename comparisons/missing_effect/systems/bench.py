@@ -143,7 +143,7 @@ class Bench:
         """
         moved = [self.refitted(white.structure, white.theta)]
         if raw is not None and not raw.failed:
-            moved.append(self.refitted(raw.structure, _with_offsets(raw, white)))
+            moved.append(self.refitted(raw.structure, with_offsets(raw, white)))
         return replace(min(moved, key=lambda bench: bench.fit.cost), white=white)
 
     def over_whole_records(self) -> Self:
@@ -165,7 +165,7 @@ class Bench:
         if not self.records.model.inputs or self.fit.failed:
             return self
         white = self.whitened(self.fit, metric_of(self.fit.errors))
-        moved = self.refitted(self.fit.structure, _with_offsets(self.fit, white))
+        moved = self.refitted(self.fit.structure, with_offsets(self.fit, white))
         share = moved.held_out_size() / self.held_out_size()
         if not share < BETTER_TIMED:
             return replace(moved if share < 1.0 / BETTER_TIMED else self, white=white)
@@ -235,7 +235,7 @@ class Bench:
         short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
         laid = replace(short, fit=replace(self.fit, structure=structure))
         white = laid.whitened(self.fit, metric)
-        theta = _with_offsets(self.fit, white)
+        theta = with_offsets(self.fit, white)
         # What is held is late by half a sample itself: beyond one sample in all it is a delay.
         late = theta[structure.offsets] > MOST_OFFSET - HALF_SAMPLE
         opened = np.array([way == "auto" for way in self.records.between])
@@ -372,7 +372,7 @@ def _ways(records: Records, how: str) -> tuple[str, ...]:
     return tuple(how if way == "auto" else way for way in records.between)
 
 
-def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:
+def with_offsets(fit: Fit, timed: Fit) -> FloatArray:
     """Return θ of a fit with the timing offsets of another."""
     theta, at = fit.theta.copy(), fit.structure.offsets
     theta[at] = timed.theta[at]

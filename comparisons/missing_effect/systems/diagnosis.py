@@ -19,7 +19,7 @@ from comparisons.missing_effect.search import (
     search_round,
     verdict_of,
 )
-from comparisons.missing_effect.systems.bench import BETTER_WHITE, Bench
+from comparisons.missing_effect.systems.bench import BETTER_WHITE, Bench, with_offsets
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
     FIRM_ERRORS,
@@ -207,8 +207,7 @@ def _concluded(
     before, before_cov, metric, beyond = _whole(base)
     after, after_cov = before, before_cov
     asked = beyond if _as_good_wider(bench, before, beyond) else {}
-    if asked and all(e.effect.unnamed for e in bench.fit.structure.effects):
-        bench = base
+    bench = base if asked else bench
     gone: dict[Placed, str] = {}
     checked: tuple[CheckRun, ...] = ()
     while effects := bench.fit.structure.effects:
@@ -331,7 +330,9 @@ def _as_good_wider(bench: Bench, before: Fit, beyond: Collection[str]) -> bool:
     if not (beyond and bench.fit.structure.effects):
         return False
     runs = runs_of(bench.records, bench.records.whole, before.structure.between, begun=True)
-    wide = widened(before, beyond).again(runs, raw_metric([run.outputs for run in runs]))
+    # Inputs early by a third of a row stood in for a stiffness at its bound.
+    timed = replace(before, theta=with_offsets(before, bench.fit))
+    wide = widened(timed, beyond).again(runs, raw_metric([run.outputs for run in runs]))
     return before.cost - wide.cost > RIVAL_SHARE * (before.cost - _whole(bench)[0].cost)
 
 

@@ -22,8 +22,8 @@ LATE = (Kind.INPUT_LAG, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # or a rim that the run of a wrong model never meets. They always race.
 BENT = (Kind.INPUT_MAP, Kind.STATE_LIMIT, Kind.OVERFLOW, Kind.OUTPUT_MAP, Kind.INPUT_PLAY)
 # Candidates that are fitted: the most promising of each metric, as long as they promise a
-# hundredth of the best; and pairs. More than chance is asked for after the fit: what always races
-# won where few blocks left the flips without power.
+# hundredth of the best; pairs and terms without a name, more than chance as well. Of names chance
+# is asked after the fit: few blocks left flips without power, and what always races won unopposed.
 MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
 # Steps from each of several starts, steps of the first lap, those that go on by either count, and
 # steps to the end.
@@ -43,8 +43,9 @@ def promising(raw: Answers, white: Answers, late: Collection[int]) -> list[Probe
     for answers in (white, raw):
         probes = answers.best()
         best = probes[0].gain if probes else 0.0
-        least = LEAST_PROMISE_SHARE * best
-        named = [p for p in probes if p.gain > least and not p.unnamed]
+        share = LEAST_PROMISE_SHARE * best
+        least = max(answers.chance(np.random.default_rng(FLIP_SEED)), share)
+        named = [p for p in probes if p.gain > share and not p.unnamed]
         terms = [p for p in probes if p.gain > least and p.unnamed]
         pairs = answers.pairs(MOST_PAIRS, least)
         for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 2], *pairs):
