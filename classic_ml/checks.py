@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from classic_ml.characteristics import feature_names
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.likelihood import CycleShifts, LinearisedFit, cycle_shifts
+from surge_core.autoregression import autoregression
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
-ORDERS = (0, 1, 2, 3, 5, 8, 12, 18, 27)
-# Enough to find an autoregression to a per cent; all rows are filtered with it.
-ROWS_FOR_ORDER = 50_000
+# Of an autoregression, and a quarter of the typical segment, so that most rows remain.
+LARGEST_ORDER = 27
 
 
 def lagged_correlation(
@@ -56,56 +56,6 @@ def bartlett_widening(
     """
     memories = [lagged_correlation(s, s, runs, n_lags)[n_lags + 1 :] for s in (first, second)]
     return math.sqrt(max(1.0 + 2.0 * float(memories[0] @ memories[1]), 1.0))
-
-
-def autoregressive_innovations(errors: FloatArray, runs: list[slice]) -> FloatArray:
-    """Return what an autoregression cannot predict of a signal that is known in segments.
-
-    Its order, up to 27, is the one that BIC prefers below a quarter of the typical segment, so that
-    most rows remain; the first of each segment, which have too few before them, are left out.
-    """
-    lengths = [run.stop - run.start for run in runs]
-    longest = int(np.median(lengths)) // 4 if lengths else 0
-    top = max(order for order in ORDERS if order <= longest)
-    table = _lag_table(errors, runs, top, ROWS_FOR_ORDER)
-    # One triangle holds the fits of all orders: their columns are nested, on the same rows.
-    triangle: FloatArray = np.asarray(np.linalg.qr(table, mode="r"))
-    aside, n = triangle[:, -1], table.shape[0]
-    powers = np.array([float(aside[order:] @ aside[order:]) for order in range(top + 1)])
-    if n <= top or powers[0] == 0.0:
-        return _filtered(errors, runs, np.zeros(0))
-    tried = [order for order in ORDERS if order <= top]
-    tiny = np.finfo(np.float64).eps * powers[0]
-    scores = [n * math.log(max(powers[p], tiny)) + p * math.log(n) for p in tried]
-    order = tried[int(np.argmin(scores))]
-    coef = np.linalg.lstsq(triangle[:order, :order], aside[:order])[0] if order else np.zeros(0)
-    return _filtered(errors, runs, np.asarray(coef, dtype=np.float64))
-
-
-def _lag_table(errors: FloatArray, runs: list[slice], order: int, most_rows: int) -> FloatArray:
-    """Return the rows before each row, the nearest first, and the row itself as the last column."""
-    tables = [np.zeros((0, order + 1))]
-    left = most_rows
-    for run in runs:
-        values = errors[run][: max(left, 0)]
-        if values.size <= order:
-            continue
-        left -= values.size
-        windows = np.lib.stride_tricks.sliding_window_view(values, order + 1)
-        tables.append(
-            np.column_stack([windows[:, -2::-1] if order else windows[:, :0], windows[:, -1]])
-        )
-    return np.concatenate(tables)
-
-
-def _filtered(errors: FloatArray, runs: list[slice], coef: FloatArray) -> FloatArray:
-    weights = np.concatenate([[1.0], -coef])
-    parts = [
-        np.convolve(errors[run], weights, mode="valid")
-        for run in runs
-        if run.stop - run.start > coef.size
-    ]
-    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 # Down and up again, and once more: less than three sweeps is a single excursion.
@@ -276,7 +226,9 @@ def normality(errors: FloatArray, runs: list[slice]) -> CheckRow:
     from scipy.stats import chi2, kurtosis, normaltest, skew
 
     limit = float(chi2.isf(FALSE_ALARM, 2))
-    white = autoregressive_innovations(errors, runs)
+    quarter = int(np.median([run.stop - run.start for run in runs])) // 4
+    pieces = autoregression([errors[run] for run in runs], min(LARGEST_ORDER, quarter))[1]
+    white = np.concatenate(pieces)
     if white.size < FEWEST_FOR_NORMALITY or np.ptp(white) == 0.0:
         meaning = f"fewer than {FEWEST_FOR_NORMALITY} errors: too few to know their law"
         return CheckRow("normality", math.nan, "<", limit, False, meaning)

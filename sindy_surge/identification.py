@@ -23,7 +23,7 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support
-from sindy_surge.noise import autoregression
+from sindy_surge.noise import colour_of
 from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import (
@@ -299,7 +299,7 @@ def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, S
         return problem, fit
     problem = problem.with_colour(np.empty(0))
     fit = refitted(problem, fit)
-    colour = autoregression(fit.residual, fit.groups)
+    colour = colour_of(fit.residual, fit.groups)
     if colour.size:
         problem = problem.with_colour(colour)
         fit = refitted(problem, fit)

@@ -8,6 +8,7 @@ from math import comb
 import numpy as np
 
 from sindy_surge.segments import Segments
+from surge_core.autoregression import autoregression
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
@@ -197,38 +198,9 @@ def refine_noise(
     return NoiseLevels(output, inputs, np.empty(0))
 
 
-def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> FloatArray:
-    """Fit an autoregression to a whitened residual by Burg's method, order by BIC.
-
-    No sum reaches across two runs of rows, `groups`. Returned are the coefficients of
-    w[k] = Σ α_i w[k-i] + white; none when order 0 wins.
-    """
+def colour_of(white: FloatArray, groups: Segments) -> FloatArray:
+    """Return the autoregression that BIC finds in whitened residuals of the runs; none if white."""
     pieces = [white[rows] for rows in groups.slices() if rows.stop - rows.start > 1]
     if not pieces:
         return np.empty(0)
-    largest = min(largest, int(np.median([p.size for p in pieces])) // 10)
-    n = sum(p.size for p in pieces)
-    variance = sum(float(p @ p) for p in pieces) / n
-    if variance <= 0:
-        return np.empty(0)
-    forward, backward = list(pieces), list(pieces)
-    coefficients = np.empty(0)
-    best, best_score = coefficients, n * np.log(variance)
-    for order in range(1, largest + 1):
-        ahead = [f[1:] for f in forward]
-        behind = [b[:-1] for b in backward]
-        top = 2 * sum(float(f @ b) for f, b in zip(ahead, behind, strict=True))
-        bottom = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
-        if bottom <= 0:
-            break
-        reflection = top / bottom
-        coefficients = np.append(coefficients - reflection * coefficients[::-1], reflection)
-        forward = [f - reflection * b for f, b in zip(ahead, behind, strict=True)]
-        backward = [b - reflection * f for f, b in zip(ahead, behind, strict=True)]
-        variance *= 1 - reflection**2
-        if variance <= 0:
-            break
-        score = n * np.log(variance) + order * np.log(n)
-        if score < best_score:
-            best, best_score = coefficients.copy(), score
-    return best
+    return autoregression(pieces, min(4, int(np.median([p.size for p in pieces])) // 10))[0]

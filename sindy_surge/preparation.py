@@ -18,7 +18,7 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, unit_norms, without_nuisances
-from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
+from sindy_surge.noise import NoiseLevels, colour_of, difference_noise, refine_noise
 from sindy_surge.search import beam_search
 from surge_core.types import FloatArray
 
@@ -61,7 +61,7 @@ def prepare(
         problem, rich = _with_dead_time(problem, rich)
     left = _left_by_all(problem, rich)
     excess = float(np.mean(left**2)) if left.size else 0.0
-    colour = autoregression(left, rich.groups)
+    colour = colour_of(left, rich.groups)
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
     if colour.size and excess > 1e-10:
         problem = problem.with_colour(colour)

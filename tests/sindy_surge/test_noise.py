@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise, smoothed
+from sindy_surge.noise import NoiseLevels, Whitener, colour_of, difference_noise, smoothed
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 
@@ -66,9 +66,9 @@ def test_autoregression_finds_order_and_coefficients() -> None:
     rng = np.random.default_rng(2)
     white = rng.standard_normal(6000)
     runs = Segments.from_labels(np.repeat(range(12), 500), 6000)
-    assert autoregression(white, runs).size == 0
+    assert colour_of(white, runs).size == 0
     coloured = lfilter([1.0], [1.0, -1.1, 0.5], white.reshape(12, 500)).ravel()
-    found = autoregression(coloured, runs)
+    found = colour_of(coloured, runs)
     assert found.size == 2
     # Standard error of either: sqrt((1 - 0.5^2)/6000) = 0.011.
     np.testing.assert_allclose(found, [1.1, -0.5], atol=0.045)
