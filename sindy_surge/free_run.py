@@ -22,9 +22,8 @@ _SHORTEST_SAMPLES = 0.1
 # A lag three times the longest run looks like an integrator.
 _LONGEST_RUNS = 3.0
 _SCAN_POINTS = 32
-_MOST_REFINEMENTS = 10
-# Two digits bring Gauss-Newton into its basin; its end is then far below any standard error.
-_BRACKETED, _CONVERGED = 1e-2, 1e-9
+# Of log τ: far below any standard error.
+_CONVERGED = 1e-9
 _DIFFERENCE = 1e-4
 # Share of a column that the nuisances must leave.
 _ALIAS = 1e-9
@@ -102,6 +101,11 @@ class FreeRunEquations:
         """Return the coefficients of nuisances and all terms at one τ in seconds."""
         stacked = self._stacked(time_constant_s, self._all_values)
         return least_squares(stacked[:, :-1], stacked[:, -1])
+
+    def left(self, time_constant_s: float) -> FloatArray:
+        """Return what all terms leave of ψ' in the scored rows, for one τ in seconds."""
+        stacked = self._stacked(time_constant_s, self._all_values)
+        return _rest(stacked[:, :-1], stacked[:, -1])
 
     def simulated(self, time_constant_s: float) -> FloatArray:
         """Return what each candidate contributes to the scored rows, for one τ in seconds.
@@ -191,7 +195,7 @@ class FreeRunEquations:
         return float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
 
     def _end(self, values: FloatArray, within: tuple[float, float]) -> float:
-        """Search log τ between two values, and end with Gauss-Newton steps."""
+        """Search log τ between two values."""
         from scipy.optimize import minimize_scalar
 
         def cost(log_tau: float) -> float:
@@ -203,20 +207,9 @@ class FreeRunEquations:
             cost,
             bounds=(np.log(low), np.log(high)),
             method="bounded",
-            options={"xatol": _BRACKETED},
+            options={"xatol": _CONVERGED},
         )
-        tau, least = float(np.exp(found.x)), float(found.fun)
-        for _ in range(_MOST_REFINEMENTS):
-            _, joint, residual = self._at(values, tau)
-            moved = float(np.clip(tau + least_squares(joint, residual)[-1], low, high))
-            new = cost(float(np.log(moved)))
-            if not new < least:
-                break
-            small = abs(moved - tau) < _CONVERGED * tau
-            tau, least = moved, new
-            if small:
-                break
-        return tau
+        return float(np.exp(found.x))
 
     def _at(self, values: FloatArray, tau: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return coefficients, derivatives with τ last, and the residual for one τ."""
@@ -235,8 +228,12 @@ class FreeRunEquations:
         return solution, joint, stacked[:, -1] - stacked[:, :-1] @ solution
 
 
+def _rest(columns: FloatArray, target: FloatArray) -> FloatArray:
+    return target - columns @ least_squares(columns, target)
+
+
 def _cost(columns: FloatArray, target: FloatArray) -> float:
-    rest = target - columns @ least_squares(columns, target)
+    rest = _rest(columns, target)
     return float(rest @ rest)
 
 

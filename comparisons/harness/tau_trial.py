@@ -9,7 +9,9 @@ import numpy as np
 
 from comparisons.harness.fit_quality import rms
 from comparisons.results import Comparison, FitRows, TauTrial
-from surge_core.lag import FirstOrderLag, Hold
+from sindy_surge.free_run import FreeRunEquations
+from sindy_surge.segments import Segments
+from surge_core.lag import Hold
 from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
@@ -65,10 +67,12 @@ def reconstruction_error_over_tau(
     given 243 ms where 18 ms reconstructs).
     """
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-    errors = []
-    for tau_s in taus_s:
-        measured, answers = _scored(rows, terms, keep, tau_s, hold)
-        errors.append(measured - answers @ np.linalg.lstsq(answers, measured)[0])
+    runs = Segments.from_labels(rows.labels, rows.phi.size)
+    weight, nuisance = keep.astype(np.float64), terms[:, :0]
+    free_run = FreeRunEquations(
+        terms, nuisance, rows.measured, weight, runs, rows.sample_period_s, hold
+    )
+    errors = [free_run.left(float(tau_s)) for tau_s in taus_s]
     refitted = np.array([rms(error) for error in errors])
     best = int(np.argmin(refitted))
     best_tau = _vertex(taus_s, refitted, best)
@@ -105,24 +109,6 @@ def trial_of(comparison: Comparison) -> TauTrial:
     taus = trial_taus(*(result.model.time_constant_s for result in fitted))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
     return replace(trial, estimates=tuple((result, result.free_run.rms) for result in fitted))
-
-
-def _scored(
-    rows: FitRows, inputs: FloatArray, keep: BoolArray, tau_s: float, hold: Hold
-) -> tuple[FloatArray, FloatArray]:
-    """Return ψ' and the lag's answers to the inputs on scored rows, a free start taken out."""
-    lag = FirstOrderLag(float(tau_s), rows.sample_period_s, hold)
-    blocks = []
-    for run in rows.runs:
-        answers = lag.respond(inputs[run], inputs[run][0])
-        columns = np.column_stack([rows.measured[run], answers])[keep[run]]
-        decay = lag.decay(run.stop - run.start)[keep[run]]
-        power = float(decay @ decay)
-        # What any start would add to each column.
-        own = np.outer(decay, decay @ columns / power) if power > 0.0 else 0.0
-        blocks.append(columns - own)
-    stacked = np.concatenate(blocks)
-    return stacked[:, 0], stacked[:, 1:]
 
 
 def _vertex(taus: FloatArray, error: FloatArray, best: int) -> float:
