@@ -401,6 +401,7 @@ def _rows(
                     fit.fit.scored[piece].astype(np.float64),
                     record.time_s[passes.row[piece]],
                     int(np.count_nonzero(fit.reading.in_stall[piece])),
+                    np.full(phi[piece].size, number),
                 )
             )
     return tuple(rows)

@@ -24,7 +24,6 @@ from classic_ml.records import counted
 from classic_ml.segments import near
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
-    StackedRuns,
     WholeRunRows,
     is_blowdown,
     scored_until,
@@ -131,7 +130,7 @@ class WholeRunFit(Displayed):
             fit_state_=state,
         )
 
-    def stacked(self) -> StackedRuns:
+    def stacked(self) -> WholeRunRows:
         """Return what was fitted, and which rows were scored."""
         return stacked_rows(self.rows_)
 
@@ -149,12 +148,12 @@ class WholeRunFit(Displayed):
         if not math.isfinite(self.time_constant_s_):
             return ()
         rows = self.stacked()
-        fit = self.model_.linearised(rows.terms, rows.psi_p, rows.run, rows.weight)
+        fit = self.model_.linearised(rows.inputs, rows.psi_p, rows.run, rows.weight)
         phi = rows.phi[fit.rows]
         pieces = list(fit.pieces)
         return (
             input_correlation(fit.errors, phi, pieces),
-            leverage(self.model_, fit, rows.terms[fit.rows]),
+            leverage(self.model_, fit, rows.inputs[fit.rows]),
             coverage(phi, runs_of(fit.segment, fit.segment.size), stated_phi),
         )
 

@@ -1,4 +1,4 @@
-"""The averaged signals of one free run through a record, and which of its rows are scored."""
+"""The averaged signals of free runs through records, and which of their rows are scored."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ LOSS_AVERAGE_S = 0.005
 # Below this share of the in-stall rows in forward flow the record is one blowdown after another.
 LEAST_SCORED_SHARE = 0.15
 LEAST_SCORED_ROWS = 60
+SIGNALS = ("phi", "terms", "nuisance", "psi_p", "weight", "time_s")
 
 
 @dataclass(frozen=True)
 class WholeRunRows:
-    """The averaged signals of one free run through a record.
+    """The averaged signals of one free run through a record, or of several behind each other.
 
     Parameters
     ----------
@@ -44,6 +45,8 @@ class WholeRunRows:
         Facility clock.
     in_stall_rows : int
         Rows in stall, scored or not.
+    run : ndarray of int, shape (n,)
+        Number of the run of each row.
     """
 
     phi: FloatArray
@@ -53,11 +56,31 @@ class WholeRunRows:
     weight: FloatArray
     time_s: FloatArray
     in_stall_rows: int
+    run: IntArray
+
+    @property
+    def scored(self) -> BoolArray:
+        """Rows that are scored."""
+        return np.asarray(self.weight > 0.0)
+
+    @property
+    def moving(self) -> FloatArray:
+        """The nuisances of which a record has any: others would make a fit look rank deficient."""
+        return np.asarray(self.nuisance[:, np.ptp(self.nuisance, axis=0) > 1e-9])
+
+    @property
+    def inputs(self) -> FloatArray:
+        """Inputs of the lag: the terms, then the nuisances."""
+        return np.asfortranarray(np.column_stack([self.terms, self.moving]))
+
+    def fitted(self, model: LagRegressor) -> LagRegressor:
+        """Return a model, fitted to these rows."""
+        return model.fit(self.inputs, self.psi_p, segments=self.run, sample_weight=self.weight)
 
     @property
     def scored_phi(self) -> FloatArray:
         """Averaged φ of the rows that are scored: where a fit to them knows the curve."""
-        return np.asarray(self.phi[self.weight > 0.0])
+        return np.asarray(self.phi[self.scored])
 
     def without(self, left_out: BoolArray) -> WholeRunRows:
         """Return the same with some rows simulated through."""
@@ -137,6 +160,7 @@ def whole_run_rows(
         (free_run[inside] == 2).astype(np.float64),
         series.time_s[inside],
         int(np.count_nonzero(inside & stalled_rows)),
+        np.zeros(np.count_nonzero(inside), np.int64),
     )
 
 
@@ -160,52 +184,13 @@ def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
     return scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS)
 
 
-@dataclass(frozen=True)
-class StackedRuns:
-    """All runs of a fit, one behind the other.
-
-    Parameters
-    ----------
-    phi, psi_p, time_s : ndarray of shape (n,)
-        Averaged signals and the facility clock.
-    terms : ndarray of shape (n, q)
-        Inputs of the lag: the terms, then the nuisances of which a record has any.
-    weight : ndarray of shape (n,)
-        1 where a run is scored.
-    run : ndarray of int, shape (n,)
-        Number of the run of each row.
-    """
-
-    phi: FloatArray
-    psi_p: FloatArray
-    time_s: FloatArray
-    terms: FloatArray
-    weight: FloatArray
-    run: IntArray
-
-    @property
-    def scored(self) -> BoolArray:
-        """Rows that are scored."""
-        return np.asarray(self.weight > 0.0)
-
-    def fitted(self, model: LagRegressor) -> LagRegressor:
-        """Return a model, fitted to these rows."""
-        return model.fit(self.terms, self.psi_p, segments=self.run, sample_weight=self.weight)
-
-
-def stacked_rows(rows: Sequence[WholeRunRows]) -> StackedRuns:
+def stacked_rows(rows: Sequence[WholeRunRows]) -> WholeRunRows:
     """Return the runs one behind the other."""
-    terms = np.concatenate([row.terms for row in rows])
-    nuisance = np.concatenate([row.nuisance for row in rows])
-    # Columns that are nothing would make the fit look rank deficient.
-    moving = np.ptp(nuisance, axis=0) > 1e-9
-    return StackedRuns(
-        np.concatenate([row.phi for row in rows]),
-        np.concatenate([row.psi_p for row in rows]),
-        np.concatenate([row.time_s for row in rows]),
-        np.asfortranarray(np.column_stack([terms, nuisance[:, moving]])),
-        np.concatenate([row.weight for row in rows]),
-        np.concatenate([np.full(row.phi.size, i) for i, row in enumerate(rows)]),
+    return replace(
+        rows[0],
+        **{name: np.concatenate([getattr(row, name) for row in rows]) for name in SIGNALS},
+        in_stall_rows=sum(row.in_stall_rows for row in rows),
+        run=np.repeat(range(len(rows)), [row.phi.size for row in rows]),
     )
 
 

@@ -276,7 +276,7 @@ def _curve(comparison: Comparison, first: EstimatorResult) -> Curve | None:
     phi, measured, rising = rows.phi, rows.measured, np.gradient(rows.phi) > 0.0
     if first.whole_run is not None:
         inputs = first.whole_run.stacked()
-        phi, measured = inputs.phi[inputs.scored], inputs.psi_p[inputs.scored]
+        phi, measured = inputs.scored_phi, inputs.psi_p[inputs.scored]
         rising = (np.gradient(inputs.phi) > 0.0)[inputs.scored]
     low, high = model.valid_phi
     inside = (phi >= low) & (phi <= high)

@@ -148,7 +148,7 @@ def fit_sparse_whole_runs(
     ends = [math.inf] * len(records) if until_s is None else until_s
     measured = [_without_cells(record, end) for record, end in zip(records, ends, strict=True)]
     plain = scored_until([whole_run_rows(record) for record in measured], until_s)
-    scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
+    scored_phi = stacked_rows(plain).scored_phi
     if not scored_phi.size:
         nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, FitState.BLOWDOWN
         model = output_error(period_s, hold)
@@ -163,9 +163,8 @@ def fit_sparse_whole_runs(
 
     def equations_of(rows: Sequence[WholeRunRows]) -> FreeRunEquations:
         stacked = stacked_rows(rows)
-        terms, nuisance = np.hsplit(stacked.terms, [len(library.names)])
         segments = Segments.from_labels(stacked.run, stacked.psi_p.size)
-        given = terms, nuisance, stacked.psi_p, stacked.weight
+        given = stacked.terms, stacked.moving, stacked.psi_p, stacked.weight
         return FreeRunEquations(*given, segments, period_s, hold)
 
     rows = rows_of(measured)

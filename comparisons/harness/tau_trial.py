@@ -92,13 +92,13 @@ def trial_of(comparison: Comparison) -> TauTrial:
     for result in sorted(fitted, key=lambda r: r.name != "classic_ml"):
         if result.whole_run is None:
             continue
-        inputs = result.whole_run.stacked()
-        every = np.ones(inputs.phi.size, dtype=np.bool_)
-        signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
+        whole = result.whole_run.stacked()
+        every = np.ones(whole.phi.size, dtype=np.bool_)
+        signals = whole.phi, whole.psi_p, whole.time_s, whole.run, whole.run
         averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
         taus = trial_taus(result.model.time_constant_s)
         trial = reconstruction_error_over_tau(
-            averaged, inputs.terms, taus, hold=hold, scored=inputs.scored
+            averaged, whole.inputs, taus, hold=hold, scored=whole.scored
         )
         own_rms = float(result.whole_run.model_.residual_std_)
         return replace(trial, estimates=((result, own_rms),))
