@@ -14,6 +14,7 @@ from surge_core.display import Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.rounding import bracketed, round_to_error
+from surge_core.terms import signed_sum
 from surge_core.types import FloatArray
 
 
@@ -25,11 +26,7 @@ def lag_sheet(fit: Any, state: str, *more: Field) -> Sheet:
     """
     errors = np.sqrt(np.maximum(np.diag(fit.covariance_), 0.0)).tolist()
     named = list(zip(fit.terms_, fit.coef_.tolist(), errors, strict=True))
-    right = "".join(
-        f" {'−' if value < 0.0 else '+'} {bracketed(abs(value), error)}{factor(name)}"
-        for name, value, error in named
-    )
-    equation, tau = f"y = {right.removeprefix(' + ').strip()}", "not known"
+    equation, tau = f"y = {signed_sum(named, str)}", "not known"
     if np.isfinite(fit.time_constant_s_):
         lag_ms = 1e3 * fit.time_constant_s_, 1e3 * fit.time_constant_stderr_s_
         equation = f"{bracketed(*lag_ms)} ms · dy/dt + {equation}"
@@ -44,11 +41,6 @@ def lag_sheet(fit: Any, state: str, *more: Field) -> Sheet:
     rows = tuple((name, round_to_error(value, error)) for name, value, error in named)
     head = ("term", "coefficient ± std error")
     return Sheet(type(fit).__name__, fields, (Grid("Quasi-steady characteristic", head, rows),))
-
-
-def factor(name: str) -> str:
-    """Return a term as a factor behind its coefficient; nothing for the constant."""
-    return "" if name == "1" else f" {name}"
 
 
 class PiecewiseLinear(TransformerMixin, BaseEstimator):

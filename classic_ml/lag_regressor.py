@@ -13,7 +13,6 @@ from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import (
-    factor,
     feature_names,
     lag_sheet,
     polynomial_names,
@@ -295,7 +294,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """Return the fitted model as one line with units."""
         check_is_fitted(self)
         named = zip(self.terms_, self.coef_.tolist(), strict=True)
-        parts = [f"{value:+.4g}" + factor(name) for name, value in named]
+        parts = [f"{value:+.4g}" + ("" if name == "1" else f" {name}") for name, value in named]
         right = " ".join(parts).removeprefix("+")
         if np.isnan(self.time_constant_s_):
             return f"y = {right}"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from surge_core.display import Field, Grid, Sheet
 from surge_core.errors import require, whole_number
 from surge_core.fit_state import FitState
-from surge_core.rounding import NOT_KNOWN, bracketed, round_like, round_to_error
-from surge_core.terms import pretty_term
+from surge_core.rounding import NOT_KNOWN, round_like, round_to_error
+from surge_core.terms import pretty_term, signed_sum, uncertain
 
 _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 
@@ -103,10 +103,6 @@ def _interval(bounds: tuple[float, float], stderr: float) -> str:
     return " to ".join(round_like(bound, stderr) for bound in bounds)
 
 
-# An error below this share of the value is rounding: the value is taken as exact.
-_EXACT = 1e-12
-
-
 @dataclass(frozen=True)
 class EquationParts:
     """What the equation τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') is written from."""
@@ -140,25 +136,6 @@ class EquationParts:
         positive = self.time_constant_s > 0
         require(positive, "time constant", "a positive one, for dψ'/dt", found, remedy)
         return self.time_constant_s
-
-
-def uncertain(value: float, stderr: float) -> str:
-    """Round a value to its standard error, e.g. ``1.21(4)``; six digits without one."""
-    known = math.isfinite(value) and math.isfinite(stderr) and stderr > _EXACT * abs(value)
-    return bracketed(value, stderr) if known else f"{value:.6g}"
-
-
-def signed_sum(
-    terms: Sequence[tuple[str, float, float]], named: Callable[[str], str] = pretty_term
-) -> str:
-    """Write a sum of terms (name, coefficient, standard error), each rounded to its error."""
-    text = ""
-    for name, value, error in terms:
-        sign = "−" if value < 0 else "+"
-        glue = f" {sign} " if text else ("−" if value < 0 else "")
-        written = "" if name == "1" else " " + named(name)
-        text += f"{glue}{uncertain(abs(value), error)}{written}"
-    return text or "0"
 
 
 def write_equation(parts: EquationParts) -> str:

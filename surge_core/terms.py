@@ -1,10 +1,13 @@
-"""Names of terms in the field's letters: ``psi_p phi^2`` is ψ' φ²."""
+"""Terms in the field's letters, ``psi_p phi^2`` as ψ' φ², and sums of them."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+
+from surge_core.rounding import bracketed
 
 _GREEK = {"phi": "φ", "psi_p": "ψ'", "psi": "ψ", "plenum": "Ψ"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -27,3 +30,26 @@ def terms_json(
         {"name": name, "coefficient": float(value), "stderr": float(error)}
         for name, value, error in zip(names, coefficients, stderr, strict=True)
     ]
+
+
+# An error below this share of the value is rounding: the value is taken as exact.
+_EXACT = 1e-12
+
+
+def uncertain(value: float, stderr: float) -> str:
+    """Round a value to its standard error, e.g. ``1.21(4)``; six digits without one."""
+    known = math.isfinite(value) and math.isfinite(stderr) and stderr > _EXACT * abs(value)
+    return bracketed(value, stderr) if known else f"{value:.6g}"
+
+
+def signed_sum(
+    terms: Sequence[tuple[str, float, float]], named: Callable[[str], str] = pretty_term
+) -> str:
+    """Write a sum of terms (name, coefficient, standard error), each rounded to its error."""
+    text = ""
+    for name, value, error in terms:
+        sign = "−" if value < 0 else "+"
+        glue = f" {sign} " if text else ("−" if value < 0 else "")
+        written = "" if name == "1" else " " + named(name)
+        text += f"{glue}{uncertain(abs(value), error)}{written}"
+    return text or "0"

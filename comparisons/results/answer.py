@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from comparisons.results.names import SYMBOLS
-from sindy_surge.text import signed_sum
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.rounding import round_like, round_to_error
-from surge_core.terms import terms_json
+from surge_core.terms import signed_sum, terms_json
 from surge_core.types import BoolArray, FloatArray
 
 

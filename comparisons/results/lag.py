@@ -15,11 +15,11 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
 from comparisons.results.terms import evaluate_terms, is_known_term
-from sindy_surge.text import interval95, signed_sum
+from sindy_surge.text import interval95
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.rounding import bracketed
 from surge_core.segments import runs_of
-from surge_core.terms import terms_json
+from surge_core.terms import signed_sum, terms_json
 from surge_core.types import FloatArray, IntArray
 
 

@@ -16,9 +16,8 @@ from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.loop_balance import Balance
 from sindy_surge.discover.loop_lag import Branch
 from sindy_surge.discover.loops import SurgeLoop
-from sindy_surge.text import signed_sum
 from surge_core.fit_state import FitState
-from surge_core.terms import terms_json
+from surge_core.terms import signed_sum, terms_json
 from surge_core.types import FloatArray
 
 DISCOVER_SCHEMA = "sindy-surge/discover/1"

@@ -16,7 +16,7 @@ from sindy_surge.discover.levels import RIVAL, Level, searched, start_about
 from sindy_surge.discover.trajectories import Trajectories
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.search import Tried, best_of_equation
-from sindy_surge.text import uncertain
+from surge_core.terms import uncertain
 from surge_core.types import FloatArray
 
 # Delays looked at on either side of none: so many steps, each as large as a straight line between

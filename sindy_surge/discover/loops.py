@@ -15,9 +15,9 @@ from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cyc
 from sindy_surge.discover.trajectories import output_times
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
-from sindy_surge.text import signed_sum
 from surge_core.errors import InputError, positive
 from surge_core.fit_state import FitState
+from surge_core.terms import signed_sum
 from surge_core.types import FloatArray
 
 _FEWEST_CYCLES = 4
