@@ -163,13 +163,10 @@ def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -
         return np.asarray(values, dtype=np.float64)
     weights = np.ones(2 * side + 1)
     weights[[0, -1]] = 0.5 * (width - (2 * side - 1))
-    n = len(values)
     sums = convolve1d(np.asarray(values, dtype=np.float64), weights, axis=0, mode="constant")
-    # Which of the weights meet a row of the record.
-    upto = np.concatenate([[0.0], np.cumsum(weights)])
-    row = np.arange(n)
-    first, stop = np.maximum(side - row, 0), np.minimum(side + n - row, weights.size)
-    return np.asarray((sums.T / (upto[stop] - upto[first])).T)
+    # Of the weights that meet a row of the record.
+    met = convolve1d(np.ones(len(values)), weights, mode="constant")
+    return np.asarray((sums.T / met).T)
 
 
 def phase_delay_s(
