@@ -20,16 +20,12 @@ from surge_core.leave_out import (
 from surge_core.types import FloatArray
 
 # From a fifth of a sample to the longest segment. A first-order lag looks much the same over a
-# factor of three in τ to either side. The equations' sum of squares is a parabola in a and b, so
-# that there a search ends at its one minimum from anywhere.
+# factor of three in τ to either side.
 SCAN_POINTS = 6
-FEW_SCAN_POINTS = 4
 MAXIMUM_ITERATIONS = 200
 # With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
 # the minimum is still at it.
 COARSE_DECREMENT = 1e-4
-# Three standard errors short of the minima, the parabola says which of them is the lower.
-CHOICE_DECREMENT = 10.0
 # A step of 1e-6 standard errors changes no test.
 NEWTON_DECREMENT = 1e-12
 # Of the cost: smaller differences between two passes are rounding.
@@ -112,20 +108,16 @@ def _is_deficient(gram: FloatArray) -> bool:
 
 def _search(data: LagData) -> tuple[Profile, FitState]:
     """Refine from each start and return the best fit, and how it ended."""
-    found = [profile(data, start) for start in _starts(data)]
-    if len(found) > 1:
-        # The choice among them needs no more digits than their costs differ in.
-        ends = [_refine(at, CHOICE_DECREMENT)[0] for at in found]
-        found = [min(ends, key=lambda end: end.cost - end.decrement)]
-    return _refine(found[0], NEWTON_DECREMENT)
+    ends = [_refine(profile(data, start)) for start in _starts(data)]
+    return min(ends, key=lambda end: end[0].cost)
 
 
-def _refine(at: Profile, tolerance: float) -> tuple[Profile, FitState]:
+def _refine(at: Profile) -> tuple[Profile, FitState]:
     data = at.data
     n_errors = max(data.scored.size, 1)
     damping, state = 1e-6, FitState.NOT_CONVERGED
     for _ in range(MAXIMUM_ITERATIONS):
-        if at.decrement <= tolerance * at.cost / n_errors:
+        if at.decrement <= NEWTON_DECREMENT * at.cost / n_errors:
             state = FitState.CONVERGED
             break
         trial, damping = _step(at, damping)
@@ -165,10 +157,9 @@ def _step(at: Profile, damping: float) -> tuple[Profile | None, float]:
 def _starts(data: LagData) -> list[FloatArray]:
     """Return the shapes from which to search: armax starts from arx and from output error."""
     if data.is_output_error or data.order == 0:
-        points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
-        return [np.array([_scanned(data, points), *np.zeros(data.order)])]
-    plain = _scanned(replace(data, noise="arx", order=0), FEW_SCAN_POINTS)
-    free_run = _scanned(replace(data, noise="output-error", order=0), FEW_SCAN_POINTS)
+        return [np.array([_scanned(data), *np.zeros(data.order)])]
+    plain = _scanned(replace(data, noise="arx", order=0))
+    free_run = _scanned(replace(data, noise="output-error", order=0))
     # Output error is armax with C = A: the other end of the family.
     c = np.zeros(data.order)
     c[0] = -data.lag(free_run).a
@@ -176,11 +167,11 @@ def _starts(data: LagData) -> list[FloatArray]:
     return [np.array([plain, *np.zeros(data.order)]), np.array([free_run, *free])]
 
 
-def _scanned(data: LagData, points: int) -> float:
+def _scanned(data: LagData) -> float:
     """Return the best log τ of a few, or the one that is held."""
     if data.held_log_tau is not None:
         return data.held_log_tau
     low, high = data.log_tau_bounds
-    grid = np.linspace(low + np.log(10.0), high - np.log(20.0), points)
+    grid = np.linspace(low + np.log(10.0), high - np.log(20.0), SCAN_POINTS)
     costs = [profile(data, np.array([value, *np.zeros(data.order)])).cost for value in grid]
     return float(grid[int(np.argmin(costs))])
