@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 import system_models as make
 import system_truths as truth
+from scipy.integrate import solve_ivp
 
+from comparisons.missing_effect import Experiment, diagnose_model
 from comparisons.missing_effect.systems import quantities
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import fit_runs, settled
 from comparisons.missing_effect.systems.metric import metric_of, raw_metric
-from comparisons.missing_effect.systems.model import P
+from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import asked_beyond, covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.shapes import Kind
@@ -24,6 +26,16 @@ N = 600
 SEEDS = 40
 COVERED_ROWS = 1500
 NOISE = 0.02
+
+
+PREY = Model(
+    states={"a": "1", "b": "1"},
+    inputs={},
+    outputs={"hunter": "1", "hunted": "1"},
+    params={name: P(1.0, 0.05, 5.0, "1/s") for name in ("gain", "death", "birth", "loss")},
+    rhs=lambda t, x, u, p: (x.a * (p.gain * x.b - p.death), x.b * (p.birth - p.loss * x.a)),
+    output=lambda t, x, u, p: (x.a, x.b),
+)
 
 
 def ar1(n: int, a: float, rng: np.random.Generator) -> np.ndarray:
@@ -109,6 +121,32 @@ def test_a_model_from_afar_comes_home(start: tuple[float, ...]) -> None:
     model = make.body(params={name: P(*numbers) for name, *numbers in searched})
     records = Records.of(model, [make.experiment("body", truth.body(1, N, noise=0.01))])
     assert np.allclose(Bench.of(records).fit.theta[:3], TRUE, rtol=5e-3)
+
+
+def prey(seed: int, n: int, crowding: float) -> Experiment:
+    """A predator and its prey for n tenths of a second, read with an error of 0.06."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(n)
+    x = solve_ivp(
+        lambda t, x: (x[0] * (0.9 * x[1] - 1.1), x[1] * (1.1 - 0.9 * x[0] - crowding * x[1])),
+        (0.0, t[-1]), rng.uniform(0.5, 2.5, 2), t_eval=t, rtol=1e-8,
+    ).y  # fmt: skip
+    hunter, hunted = x + 0.06 * rng.standard_normal(x.shape)
+    return Experiment(f"prey {seed}", 0.1, {"hunter": hunter, "hunted": hunted})
+
+
+@pytest.mark.parametrize(("seed", "n"), [(0, 800), (1, 1500), (2, 1500), (3, 400), (5, 800)])
+def test_what_swings_freely_is_fitted_over_many_periods(seed: int, n: int) -> None:
+    """Up to 25 periods: from any start alone half of the fits end in another optimum."""
+    fit = Bench.of(Records.of(PREY, [prey(seed, n, 0.0)])).fit
+    assert np.allclose(fit.theta[:4], [0.9, 1.1, 1.1, 0.9], rtol=0.03)
+    assert np.all(fit.rms < 1.1 * 0.06)
+
+
+@pytest.mark.parametrize("seed", [1, 5, 9])
+def test_a_prey_that_crowds_is_not_called_complete(seed: int) -> None:
+    """Its record dies out, and the rows held out decide nothing."""
+    assert diagnose_model(PREY, prey(seed, 140, 0.2)).verdict != "nothing_missing"
 
 
 def test_bounds_hold_and_the_rest_is_fitted_beside_them() -> None:
