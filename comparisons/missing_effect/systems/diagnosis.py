@@ -58,7 +58,12 @@ from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import reads_at_once
 from comparisons.missing_effect.systems.structure import HALF_SAMPLE, MOST_OFFSET, Run
-from comparisons.missing_effect.systems.system import RIVAL_SHARE, ModelRound, ModelSystem
+from comparisons.missing_effect.systems.system import (
+    LEAST_LOST,
+    RIVAL_SHARE,
+    ModelRound,
+    ModelSystem,
+)
 from surge_core.rounding import round_to_error, significant
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
@@ -219,16 +224,22 @@ def _concluded(
         lost = [np.isfinite(run.before_rms) & ~np.isfinite(run.after_rms) for run in runs]
         wild = not whole[0].cost <= before.cost or bool(np.any(lost))
         structure = bench.fit.structure
-        idle = [] if wild else [e for e in effects if is_nothing(whole[0], e, whole[1])]
+        zero = [] if wild else [e for e in effects if is_nothing(whole[0], e, whole[1])]
+        less = {e.key: _without(bench, e) for e in zero}
+        # Of a state without a scale of its own no number is fixed, whatever it explains: a coil
+        # that saturates won 10 386 log-units by a number that was 0 within its error.
+        idle = [e for e in zero if not _whole(less[e.key])[0].cost > whole[0].cost + LEAST_LOST]
         if not wild and not idle:
+            for one in zero:
+                at = int(structure.slots_of(one)[0])
+                whole[1][at, at] = np.inf
             after, after_cov, metric, beyond = whole
             checked = runs
             break
         last = (*effects, *idle)[-1]
         why = "with it the model runs away, or all rows fit worse"
         gone[last] = why if wild else "its number is 0 within its error"
-        theta = np.delete(bench.fit.theta, structure.slots_of(last))
-        bench = bench.refitted(structure.without(last), theta)
+        bench = less.get(last.key) or _without(bench, last)
     else:
         checked = tuple(_checked(records, e, before, before) for e in checks)
     added = after.structure.effects
@@ -288,6 +299,12 @@ def _concluded(
         checks=checked,
         floor=metric.sigma,
     )
+
+
+def _without(bench: Bench, placed: Placed) -> Bench:
+    structure = bench.fit.structure
+    theta = np.delete(bench.fit.theta, structure.slots_of(placed))
+    return bench.refitted(structure.without(placed), theta)
 
 
 def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric, dict[str, str]]:
