@@ -22,7 +22,6 @@ from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import RIVALLED
 from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
-from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, settled
 from comparisons.missing_effect.systems.metric import metric_of
 from comparisons.missing_effect.systems.model import Model
@@ -37,7 +36,6 @@ from comparisons.missing_effect.systems.records import Records, rows_together
 from comparisons.missing_effect.systems.roles import feeds_through, measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
 from surge_core.rounding import significant
 from surge_core.types import FloatArray
@@ -314,16 +312,6 @@ def left_words(left: Leftover, named: bool) -> str:
     )
 
 
-def _signals(model: Model, experiments: Sequence[Experiment], fit: Fit) -> list[FloatArray]:
-    """Return states and inputs of each run, a column each."""
-    return [
-        np.column_stack(
-            [path.states[::FINE, : len(model.states)], experiment.columns(model.input_names)]
-        )
-        for experiment, path in zip(experiments, fit.paths, strict=True)
-    ]
-
-
 def _acted(signals: FloatArray, model: Model) -> FloatArray:
     """Return states and inputs, the inputs as they were in the row before."""
     n_x = len(model.states)
@@ -332,7 +320,7 @@ def _acted(signals: FloatArray, model: Model) -> FloatArray:
 
 def one_sided(fit: Fit, records: Records) -> frozenset[int]:
     """Return which signals hardly change their sign: odd laws of them are even ones as well."""
-    every = np.concatenate(_signals(records.model, records.whole, fit))
+    every = np.concatenate(fit.signals(records.whole))
     alike = np.abs(np.sum(every * np.abs(every), axis=0)) >= ALIKE * np.sum(every**2, axis=0)
     return frozenset(np.flatnonzero(alike).tolist())
 
@@ -369,7 +357,7 @@ def leftover_of(
     model = bench.records.model
     names = signal_names(model)
     fitted, held_out = (
-        _signals(model, [run.experiment for run in runs], fit)
+        fit.signals([run.experiment for run in runs])
         for runs, fit in ((bench.train, bench.fit), (bench.later, later))
     )
     # A controller answers an error in its own row: there an input is no cause of it.

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.linearised import Linearised
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.simulate import Path, own_starts, path_of
+from comparisons.missing_effect.systems.simulate import FINE, Path, own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray, IntArray
 
@@ -84,6 +85,14 @@ class Fit:
         return [
             Linearised(self.structure, run, self.theta, path, self.scale)
             for run, path in zip(runs, self.paths, strict=True)
+        ]
+
+    def signals(self, experiments: Sequence[Experiment]) -> list[FloatArray]:
+        """Return states and inputs along each run, a column each."""
+        n_x, names = len(self.structure.model.states), self.structure.model.input_names
+        return [
+            np.column_stack([path.states[::FINE, :n_x], experiment.columns(names)])
+            for experiment, path in zip(experiments, self.paths, strict=True)
         ]
 
     def whitened_answers(

@@ -19,7 +19,6 @@ from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import Metric, correlations
 from comparisons.missing_effect.systems.places import AT_OUTPUTS, Place, Placed, SystemEffect, rms
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.simulate import FINE
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
@@ -278,15 +277,12 @@ class _Signals:
     def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
         self.model, self.theta = fit.structure.model, fit.theta
         self.n_x = len(self.model.states)
-        every = [path.states[::FINE, : self.n_x] for path in fit.paths]
-        inputs = [run.experiment.columns(self.model.input_names) for run in runs]
-        # States and then inputs, as signals are numbered.
-        self.signals = np.column_stack([np.concatenate(every), np.concatenate(inputs)])
+        every = fit.signals([run.experiment for run in runs])
+        self.signals = np.concatenate(every)
         self.outputs = np.concatenate([run.outputs for run in runs])
         self.simulated = np.concatenate([path.outputs for path in fit.paths])
         h = runs[0].sample_period_s
-        slopes = [np.gradient(x, h, axis=0) if self.n_x else x for x in every]
-        self.slopes = np.concatenate(slopes)
+        self.slopes = np.concatenate([np.gradient(s[:, : self.n_x], h, axis=0) for s in every])
 
     def of(self, effect: SystemEffect, place: Place) -> tuple[FloatArray, FloatArray]:
         """Return the signal that an effect acts on in the model, and as it was measured."""
