@@ -14,7 +14,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from classic_ml.description import FileLayout
 from classic_ml.io.formats import open_stored
+from classic_ml.io.table import StoredTable, Vector, along, fault_of, grouped
 from classic_ml.series import uniform_period_s
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
@@ -80,13 +82,9 @@ def read_experiment(
     time_s = columns.pop(clocks[0])
     n = time_s.size
     require(n >= FEWEST_ROWS, f"{file}: rows", f"at least {FEWEST_ROWS}", f"{n}")
-    odd = {key: values.size for key, values in columns.items() if values.size != n}
-    for key, size in odd.items() if wanted is not None else ():
-        require(False, f"{file}: {key}", f"{n} values, as many as of time", f"{size}")
-    kept = {key: values for key, values in columns.items() if key not in odd}
     period_s = _period(f"{file}: {clocks[0]}", time_s)
     run = Experiment(
-        name or file.stem, period_s, kept, float(time_s[0]), settle=settle, origin=str(file)
+        name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
     )
     return run if model is None else run.of(model)
 
@@ -179,13 +177,10 @@ def _parsed(file: Path, what: str) -> Iterator[None]:
     """Say any failure of a reader in one sentence: they raise whatever they stumble over."""
     try:
         yield
-    except InputError:
-        raise
+    except UnicodeDecodeError as error:
+        raise InputError(str(file), expected=what, found="bytes that are no text") from error
     except Exception as error:
-        found = f"what cannot be read ({_cause(error)})"
-        if isinstance(error, UnicodeDecodeError):
-            found = "bytes that are no text"
-        raise InputError(str(file), expected=what, found=found) from error
+        raise fault_of(error, str(file), what) from None
 
 
 def _read_csv(file: Path, wanted: Names) -> Columns:
@@ -217,34 +212,29 @@ def _read_csv(file: Path, wanted: Names) -> Columns:
     return out
 
 
-def _read_npz(file: Path, wanted: Names) -> Columns:
-    """Read an archive of arrays; objects would be executed as they are loaded, and are refused."""
-    out = {}
+@contextmanager
+def _open_npz(file: Path) -> Iterator[StoredTable]:
+    """Open an archive of arrays; objects would be executed as they are loaded, and are refused."""
+    vectors, aside = [], {}
     with (
         _parsed(file, "an .npz file of plain arrays, each with its name"),
         file.open("rb") as binary,
         np.load(binary, allow_pickle=False) as opened,
     ):
         for name in opened.files:
-            if wanted is not None and name not in (*TIMES, *wanted):
-                continue
             try:
                 values = opened[name]
-            except ValueError as error:
-                raise InputError(
-                    f"{file}: {name}",
-                    expected="numbers, since a file is read as data and never executed",
-                    found=f"what only a program makes again ({_cause(error)})",
-                    remedy=f"save it as numbers, with {name}.astype(float)",
-                ) from error
-            if 1 < values.size == max(values.shape) and values.dtype.kind in "iufb":
-                out[name] = values.ravel().astype(np.float64)
-    return out
+            except ValueError:
+                aside[name] = f"objects; save them as numbers, with {name}.astype(float)"
+                continue
+            whole = along(values) if values.dtype.kind in "iufb" else None
+            vectors += [] if whole is None else [Vector((name,), whole)]
+    yield grouped(str(file), vectors, FileLayout(), aside)
 
 
 def _read_stored(file: Path, wanted: Names) -> Columns:
-    """Read a file of one of the formats that raw records have."""
-    with open_stored(file) as table:
+    """Read a file of one of the formats that raw records have, or an archive of arrays."""
+    with _open_npz(file) if file.suffix.lower() == ".npz" else open_stored(file) as table:
         for name in wanted or ():
             found, expected = table.left_aside.get(name), "a vector of numbers, as many as of time"
             require(found is None, f"{file}: {name}", expected, str(found))
@@ -256,8 +246,7 @@ def _read_stored(file: Path, wanted: Names) -> Columns:
 
 _READERS = {
     ".csv": _read_csv,
-    ".npz": _read_npz,
-    **dict.fromkeys((".mat", ".nc", ".nc4", ".netcdf"), _read_stored),
+    **dict.fromkeys((".mat", ".nc", ".nc4", ".netcdf", ".npz"), _read_stored),
 }
 
 

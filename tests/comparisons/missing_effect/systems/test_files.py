@@ -156,7 +156,7 @@ BAD = {
     ),
     "pickle.npz": (
         packed(np.savez, y=np.array([{}] * 200, dtype=object)),
-        "y: expected numbers, since a file is read as data and never executed",
+        "y: expected a vector of numbers, as many as of time, found objects; save them as numbers",
     ),
     "text.nc": (lambda: text(good()), "a netCDF file, found what cannot be read"),
 }
