@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from fractions import Fraction
 
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
@@ -13,17 +14,17 @@ LENGTHS = ("m", "mm", "cm", "dm", "km", "µm", "μm", "um", "nm", "in", "ft")
 ANGLES = ("rad", "mrad", "deg", "°", "rev", "turn", "rpm")
 
 
-def _powers(unit: str) -> dict[str, int]:
+def _powers(unit: str) -> dict[str, Fraction]:
     """Return the symbols of a unit with their powers; what cannot be read is a symbol itself."""
     if unit.strip() == "-":
         return {}
     plain = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda m: "^" + m[0].translate(SUPERSCRIPTS), unit)
-    groups: list[tuple[dict[str, int], int]] = [({}, 1)]
+    groups: list[tuple[dict[str, Fraction], int]] = [({}, 1)]
     sign, at = 1, 0
     while at < len(plain):
         found = TOKEN.match(plain, at)
         if found is None:
-            return {unit: 1}
+            return {unit: Fraction(1)}
         at, token, power = found.end(), found[1], int(found[2] or 1)
         if token == "(":
             groups.append(({}, sign))
@@ -32,26 +33,26 @@ def _powers(unit: str) -> dict[str, int]:
             inner, outside = groups.pop()
             _multiply(groups[-1][0], inner, outside * power)
         elif token == ")":
-            return {unit: 1}
+            return {unit: Fraction(1)}
         elif token in "/*·.":
             sign = -1 if token == "/" else 1
             continue
         else:
-            _multiply(groups[-1][0], {} if token == "1" else {token: power}, sign)
+            _multiply(groups[-1][0], {} if token == "1" else {token: Fraction(power)}, sign)
             sign = 1
-    return groups[0][0] if len(groups) == 1 else {unit: 1}
+    return groups[0][0] if len(groups) == 1 else {unit: Fraction(1)}
 
 
-def _multiply(into: dict[str, int], unit: Mapping[str, int], power: int) -> None:
+def _multiply(into: dict[str, Fraction], unit: Mapping[str, Fraction], power: float) -> None:
     for symbol, own in unit.items():
-        into[symbol] = into.get(symbol, 0) + own * power
+        into[symbol] = into.get(symbol, Fraction(0)) + own * Fraction(power)
         if not into[symbol]:
             del into[symbol]
 
 
-def product_of_units(*factors: tuple[str, int]) -> str:
+def product_of_units(*factors: tuple[str, float]) -> str:
     """Return a product of units, each with its power, simplified: ``m/s²``, ``1/(V·s)``."""
-    powers: dict[str, int] = {}
+    powers: dict[str, Fraction] = {}
     for unit, power in factors:
         _multiply(powers, _powers(unit), power)
     above = [_raised(s, p) for s, p in powers.items() if p > 0]
@@ -62,8 +63,11 @@ def product_of_units(*factors: tuple[str, int]) -> str:
     return f"{'·'.join(above) or '1'}/{joined}"
 
 
-def _raised(symbol: str, power: int) -> str:
-    return symbol + (str(power).translate(RAISED) if power > 1 else "")
+def _raised(symbol: str, power: Fraction) -> str:
+    if power == 1:
+        return symbol
+    whole = power.denominator == 1
+    return symbol + (str(power.numerator).translate(RAISED) if whole else f"^({power})")
 
 
 def is_mechanical(unit: str) -> bool:
