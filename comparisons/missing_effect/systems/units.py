@@ -8,7 +8,9 @@ from fractions import Fraction
 
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-TOKEN = re.compile(r"\s*([()/*·.]|[^\W\d_]+|[°%]\w*|1(?!\d))(?:(?:\^|\*\*)?(-?\d+))?\s*")
+TOKEN = re.compile(
+    r"\s*([()/*·.]|[^\W\d_]+|[°%]\w*|1(?!\d))(?:(?:\^|\*\*)?(-?\d+(?:\.\d+)?|\(-?\d+/\d+\)))?\s*"
+)
 TIMES = ("s", "ms", "min", "h")
 LENGTHS = ("m", "mm", "cm", "dm", "km", "µm", "μm", "um", "nm", "in", "ft")
 ANGLES = ("rad", "mrad", "deg", "°", "rev", "turn", "rpm")
@@ -19,13 +21,13 @@ def _powers(unit: str) -> dict[str, Fraction]:
     if unit.strip() == "-":
         return {}
     plain = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda m: "^" + m[0].translate(SUPERSCRIPTS), unit)
-    groups: list[tuple[dict[str, Fraction], int]] = [({}, 1)]
+    groups: list[tuple[dict[str, Fraction], float]] = [({}, 1)]
     sign, at = 1, 0
     while at < len(plain):
         found = TOKEN.match(plain, at)
         if found is None:
             return {unit: Fraction(1)}
-        at, token, power = found.end(), found[1], int(found[2] or 1)
+        at, token, power = found.end(), found[1], Fraction((found[2] or "1").strip("()"))
         if token == "(":
             groups.append(({}, sign))
             sign = 1
@@ -38,7 +40,7 @@ def _powers(unit: str) -> dict[str, Fraction]:
             sign = -1 if token == "/" else 1
             continue
         else:
-            _multiply(groups[-1][0], {} if token == "1" else {token: Fraction(power)}, sign)
+            _multiply(groups[-1][0], {} if token == "1" else {token: power}, sign)
             sign = 1
     return groups[0][0] if len(groups) == 1 else {unit: Fraction(1)}
 
