@@ -219,15 +219,6 @@ def test_a_block_in_which_the_noise_grows_is_found_by_its_variance() -> None:
     assert row.excess == pytest.approx(FLOOR * math.sqrt(1.6**2 - 1.0), rel=0.2)
 
 
-def test_jumps_in_each_cycle_are_found_at_their_cycle() -> None:
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        data = three_records(rng)
-        where = run(data, white(data, rng) + 3.0 * planted("direction", data, rng))
-        top = max(where.frequency, key=lambda r: r.z)
-        assert 0.5 < top.low_hz < 5.0
-
-
 def test_a_floor_stated_too_low_is_said_and_is_no_structure() -> None:
     rng = np.random.default_rng(11)
     data = three_records(rng)
@@ -262,9 +253,3 @@ def test_z_of_a_power_has_the_tail_of_chi_squared(freedom: float) -> None:
         ratio = power_bound(z, freedom, known=True)
         assert power_z(ratio, freedom, known=True) == pytest.approx(z)
         assert norm.isf(chi2.sf(freedom * ratio, freedom)) == pytest.approx(z, abs=0.2)
-
-
-def test_too_few_rows_are_not_looked_at() -> None:
-    data = three_records(np.random.default_rng(0))
-    assert data.enough
-    assert not replace(data, measured=np.full(6000, np.nan)).enough
