@@ -68,10 +68,10 @@ def test_noise_is_estimated_and_simulation_returns_to_the_measured_cycle(models)
     assert models[0].score(x, t) > 0.999
 
 
-@pytest.mark.parametrize("seed", range(100, 103))
-def test_on_a_circle_a_term_and_its_products_with_the_radius_are_told_apart(seed):
-    t = np.arange(600) * 0.05
-    noise = 0.035 * np.random.default_rng(seed).standard_normal((600, 2))
+@pytest.mark.parametrize(("size", "step_s"), [(0.035, 0.05), (0.007, 0.1), (0.0015, 0.1)])
+def test_on_a_circle_a_term_and_its_products_with_the_radius_are_told_apart(size, step_s):
+    t = np.arange(1000) * step_s
+    noise = size * np.random.default_rng(102).standard_normal((1000, 2))
     model = SparseDynamics().fit(np.cos(t[:, None] + [0.0, 0.5 * np.pi]) + noise, t)
     assert (model.state_.code, model.terms_) == ("ok", (("x1",), ("x0",)))
 
