@@ -150,14 +150,21 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
                 found=f"{values[~np.isfinite(values)][0]:g}",
                 remedy=CUT,
             )
-    odd = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    steps, sorted_steps = np.diff(table[:, 0]), np.diff(np.sort(table[:, 0]))
+    odd = np.flatnonzero(steps <= 0.0)
     if odd.size:
+        remedy = CUT
+        if np.any(steps < 0.0) and np.ptp(sorted_steps) < np.median(sorted_steps):
+            remedy = "sort the rows by time"
+        elif np.count_nonzero(steps == 0.0) > 1:
+            remedy = "write the time with more digits"
+        elif steps.min() == 0.0:
+            remedy = "leave one of the two rows out"
         raise InputError(
             f"{path}: column time_s",
             expected="times that rise",
             found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
-            remedy="sort the rows, write the time with more digits, leave one of the two rows out, "
-            f"or {CUT}",
+            remedy=remedy,
         )
     return table
 
