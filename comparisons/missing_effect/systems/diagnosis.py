@@ -264,8 +264,8 @@ def _concluded(
     apart = () if left.structured else checked
     badly = "" if missing else _badly_foretold(base, apart)
     left_over = left.structured or left.late or left.disturbed
-    mute = undecided(rounds[-1]) if rounds and not missing else ""
-    open_ = not missing and any((gone, beyond, badly, mute, left_over))
+    halved = undecided(rounds[-1]) if rounds and not missing else ""
+    open_ = not missing and any((gone, beyond, badly, halved, left_over))
     parameters = _parameters(records, (before, before_cov), (after, after_cov))
     offsets = _offsets(model, after, after_cov)
     training = tuple(
@@ -285,7 +285,7 @@ def _concluded(
             *_beyond_words(beyond),
             *_unknown_words(parameters),
             *_clock_words(offsets, after),
-            *_remarks(base.records.model, missing, left, gone, badly, mute),
+            *_remarks(base.records.model, missing, left, gone, badly, halved),
             *_start_words(model, checks, checked),
             *_refitted_words(checked),
         ),
@@ -568,12 +568,12 @@ def _remarks(
     left: Leftover,
     gone: Mapping[Placed, str],
     badly: str,
-    mute: str,
+    halved: str,
 ) -> tuple[str, ...]:
     out = []
-    if mute:
+    if halved:
         out.append(
-            f"{mute} takes more than half of the error on the rows fitted, and the rows held out "
+            f"{halved} takes more than half of the error on the rows fitted, and the rows held out "
             "do not decide on it: give records that move to their end."
         )
     for placed, why in gone.items():
@@ -581,7 +581,7 @@ def _remarks(
         out.append(f"{label} is not added: {why}. What is missing may resemble it.")
     if not gone and (left.structured or left.late or left.disturbed):
         out.append(left_words(left, bool(missing)))
-    elif not missing and left.ratio > COLOURED and not mute:
+    elif not missing and left.ratio > COLOURED and not halved:
         out.append(
             f"The error is {significant(left.ratio, 3)} times what is new in each sample. Noise "
             "that goes on from sample to sample does that, and so does a disturbance that was not "
