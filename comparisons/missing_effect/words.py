@@ -28,7 +28,8 @@ from surge_core.rounding import significant
 
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show.",
-    "unexplained_structure": "Something is left in the errors that nothing tried here explains.",
+    "unexplained_structure": "Something is left in the errors, and nothing tried here is shown to "
+    "explain it.",
     "noise_model_wrong": "No effect is missing that these records show, but their noise is not "
     "white and normal.",
 }
@@ -41,7 +42,9 @@ _STIFF = (
     "The base terms are too stiff for these records: a higher --degree, or --base sindy, takes the "
     "bend into the characteristic itself."
 )
-_LEFT_BESIDE = "Something else is left in the errors that nothing tried here explains."
+_LEFT_BESIDE = (
+    "Something else is left in the errors, and nothing tried here is shown to explain it."
+)
 _FURTHER = (
     "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another base "
     "(--degree, --base sindy) or a longer record may give it a name."

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.effect import FittedParameter
-from comparisons.missing_effect.nulls import COLOURED, Leftover
-from comparisons.missing_effect.quantities import plain_name
+from comparisons.missing_effect.nulls import Leftover
 from comparisons.missing_effect.results import CORRELATION, MissingEffect, ParameterRow
 from comparisons.missing_effect.runs import CheckRun
 from comparisons.missing_effect.search import (
@@ -22,10 +21,8 @@ from comparisons.missing_effect.search import (
 from comparisons.missing_effect.systems.bench import BETTER_WHITE, Bench, with_offsets
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.doubts import (
-    FIRM_ERRORS,
     doubts_beside,
     doubts_of,
-    left_words,
     leftover_of,
     one_sided,
     proves,
@@ -34,7 +31,6 @@ from comparisons.missing_effect.systems.doubts import (
 from comparisons.missing_effect.systems.experiments import Experiment, held_rows, without_repeats
 from comparisons.missing_effect.systems.fit import (
     FORETOLD_BADLY,
-    START_SHARE,
     Fit,
     settled,
     start_error,
@@ -54,6 +50,15 @@ from comparisons.missing_effect.systems.quantities import (
     widened,
 )
 from comparisons.missing_effect.systems.records import Records, check_run, rows_together, runs_of
+from comparisons.missing_effect.systems.remarks import (
+    WORTH_SAYING,
+    beyond_words,
+    clock_words,
+    open_words,
+    refitted_words,
+    start_words,
+    unknown_words,
+)
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import reads_at_once
@@ -64,13 +69,12 @@ from comparisons.missing_effect.systems.system import (
     ModelRound,
     ModelSystem,
 )
-from surge_core.rounding import round_to_error, significant
 from surge_core.threads import one_thread
 from surge_core.types import FloatArray
 
 MOST_EFFECTS = 4
-# Steps of a fit to a check record, for what training records cannot know; said below this share.
-REFIT_STEPS, WORTH_SAYING = 25, 0.8
+# Steps of a fit to a check record, for what training records cannot know.
+REFIT_STEPS = 25
 STILL_FORETOLD = "inputs and states still foretell the error that is left"
 BESIDE_UNNAMED = "a term without a name had to stand beside it, for which it may stand in"
 
@@ -282,12 +286,12 @@ def _concluded(
             if all(name not in item.alias_set for item in missing)
         },
         remarks=(
-            *_beyond_words(beyond),
-            *_unknown_words(parameters),
-            *_clock_words(offsets, after),
-            *_remarks(base.records.model, missing, left, gone, badly, halved),
-            *_start_words(model, checks, checked),
-            *_refitted_words(checked),
+            *beyond_words(beyond),
+            *unknown_words(parameters),
+            *clock_words(offsets, after),
+            *open_words(base.records.model, missing, left, gone, badly, halved),
+            *start_words([_first_rows(model, e) for e in checks], checked),
+            *refitted_words(checked),
         ),
         model=model,
         records=records,
@@ -418,36 +422,6 @@ def _badly_foretold(bench: Bench, checks: Sequence[CheckRun]) -> str:
     return ""
 
 
-def _beyond_words(beyond: Mapping[str, str]) -> list[str]:
-    return [
-        f"The records ask for {' and '.join(beyond.values())}: widen the bound, if the quantity "
-        "allows it. What is missing cannot be parted from what the bound brings about."
-    ] * bool(beyond)
-
-
-def _clock_words(offsets: Sequence[FittedParameter], fit: Fit) -> list[str]:
-    """Say of which inputs the clock is off: early by more than a hold explains, or at an end."""
-    out, end = [], f"against {', '.join(fit.structure.model.outputs)}: check the clocks."
-    for one in offsets:
-        at_end = one.value in (-fit.structure.earliest, MOST_OFFSET)
-        least = abs(one.value) - FIRM_ERRORS * one.stderr
-        if least > HALF_SAMPLE * (not at_end) and (at_end or one.value < 0.0):
-            rows = f"{round_to_error(abs(one.value), one.stderr)} rows"
-            if at_end:
-                rows = f"at least {abs(one.value):g} row{'s' * (abs(one.value) > 1.0)}"
-            late = "is recorded late" if one.value < 0.0 else "acts late"
-            out.append(f"The input {one.name} {late} by {rows} {end}")
-    return out
-
-
-def _unknown_words(parameters: Sequence[ParameterRow]) -> list[str]:
-    unknown = [row.name for row in parameters if np.isinf(row.after_stderr)]
-    return [
-        f"These records do not fix {' and '.join(unknown)}: the outputs do not answer to "
-        "such a change, or another number makes up for it. The value is where the search stood."
-    ] * bool(unknown)
-
-
 def _parameters(records: Records, *fits: tuple[Fit, FloatArray]) -> tuple[ParameterRow, ...]:
     """Return the parameters by the fits before and after, those of each record one row a record."""
     model, rows = records.model, []
@@ -533,64 +507,3 @@ def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) 
     ):
         simulated.append(there.again([run], raw, most=REFIT_STEPS).paths[0].outputs)
     return _run(experiment, "check", records.model, simulated, settle=rows, loose=loose)
-
-
-def _start_words(model: Model, given: Sequence[Experiment], runs: Sequence[CheckRun]) -> list[str]:
-    """Say of which check records the first rows do not fix the start."""
-    return [
-        f"The first {_first_rows(model, e)} rows of {run.name} do not fix its start: it is "
-        f"estimated from {run.settle} rows, which are not scored. Give what is known of it as x0= "
-        "of the model."
-        for e, run in zip(given, runs, strict=True)
-        if run.settle > _first_rows(model, e) or np.any(run.loose > START_SHARE * run.after_rms)
-    ]
-
-
-def _refitted_words(runs: Sequence[CheckRun]) -> list[str]:
-    """Say what of the error on check records no fit to other records can know."""
-    left = [
-        f"{name} of {run.name} {100.0 * own / after:.0f} %"
-        for run in runs
-        for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True)
-        if own < WORTH_SAYING * after
-    ]
-    return [
-        "With start and parameters fitted to a check record itself the same model leaves less of "
-        f"its error: {', '.join(left)}. The rest is its start, which its first rows do not show "
-        "well, what differs between the records, or what the model still lacks: these figures "
-        "do not separate the three."
-    ] * bool(left)
-
-
-def _remarks(
-    model: Model,
-    missing: Sequence[MissingEffect],
-    left: Leftover,
-    gone: Mapping[Placed, str],
-    badly: str,
-    halved: str,
-) -> tuple[str, ...]:
-    out = []
-    if halved:
-        out.append(
-            f"{halved} takes more than half of the error on the rows fitted, and the rows held out "
-            "do not decide on it: give records that move to their end."
-        )
-    for placed, why in gone.items():
-        label = plain_name(placed.label(model))
-        out.append(f"{label} is not added: {why}. What is missing may resemble it.")
-    if not gone and (left.structured or left.late or left.disturbed):
-        out.append(left_words(left, bool(missing)))
-    elif not missing and left.ratio > COLOURED and not halved:
-        out.append(
-            f"The error is {significant(left.ratio, 3)} times what is new in each sample. Noise "
-            "that goes on from sample to sample does that, and so does a disturbance that was not "
-            "measured: these records do not separate the two."
-        )
-    if badly and not gone:
-        out.append(
-            f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
-            "simulated, and nothing fitted explains it: what is missing acts there alone, or a "
-            "parameter has another value there. Give training records in which that is so."
-        )
-    return tuple(out)

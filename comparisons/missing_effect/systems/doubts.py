@@ -37,7 +37,6 @@ from comparisons.missing_effect.systems.roles import feeds_through, measured_as
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.system import ModelCandidate, ModelRound
-from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
 # Effects that are another one with something more, whether or not that other one competes; a dead
@@ -61,8 +60,6 @@ LEAST_ARREARS = 0.1
 # A firm name closes this share of a gap that is clear of the noise: a sensor that samples and holds
 # was a lag that closed 6 % of it.
 LEAST_CLOSED, CLEAR_OF_NOISE = 0.25, 1.5
-# An error this many times what is new in each sample is hardly more than that.
-BARELY = 1.1
 # A signal hardly changes its sign where |Σ x|x|| is at least this share of Σ x².
 ALIKE = 0.9
 # A signal is said to be followed where chance does as well this seldom.
@@ -279,37 +276,6 @@ def undecided(step: ModelRound) -> str:
         if halves and c.evidence.p_value < LEAST_P and c.evidence.later >= 0.0:
             return plain_name(label_of(c.added, step.bench.records.model))
     return ""
-
-
-def left_words(left: Leftover, named: bool) -> str:
-    """Say that something is missing that nothing here fits: its size, and what it follows."""
-    if named and left.ratio < BARELY:
-        follows = f": it follows {left.follows} most" if left.follows else ""
-        return f"A small part of the error that is left is no chance{follows}."
-    lead = "Beyond what was found s" if named else "S"
-    if left.structured or left.late:
-        facts = []
-        if left.structured and left.foretold_share > 0.01:
-            share = f"{100.0 * left.foretold_share:.0f} % of the squared held-out error"
-            most = f", {left.follows} most" * bool(left.follows)
-            facts.append(f"inputs and states foretell {share}{most}")
-        if left.late:
-            facts.append("what is new in each error follows what the inputs did in earlier rows")
-        if left.ratio >= BARELY or not facts:
-            size = f"{significant(left.ratio, 3)} times what is new in each sample"
-            facts.insert(0, f"the error on the rows fitted for naming is {size}")
-        late = " Dynamics that are missing do that: a mode, a further lag, a pipe." * left.late
-        return f"{lead}omething is missing that nothing here fits: {', and '.join(facts)}.{late}"
-    if left.mute:
-        return (
-            f"The model explains no more of {left.mute} than a constant does: the inputs have no "
-            "visible effect on it in these records."
-        )
-    return (
-        f"{lead}omething is left that goes on from sample to sample: the error is "
-        f"{left.ratio:.0f} times what is new in each. A disturbance does that, and so does "
-        "something missing that inputs and states do not foretell."
-    )
 
 
 def _acted(signals: FloatArray, model: Model) -> FloatArray:
