@@ -14,6 +14,8 @@ RELUCTANCE = 3.0
 MOST_LAGS = 4
 # Fewer rows than this many a lag tell no colour.
 ROWS_PER_LAG = 20
+# In each third of the readings so many have those before at an even step, or none is looked for.
+LEAST_FOLLOWING = 0.5
 
 
 def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
@@ -23,8 +25,8 @@ def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
     ----------
     errors : sequence of ndarray
         Of each run; not a number where there is none. No equation looks across a longer gap, unless
-        the readings lie so unevenly that too few follow each other: then, at 0 rows, from reading
-        to reading.
+        the readings lie so unevenly that too few follow each other, as in the cooling of an oven
+        that is logged when it changes: then, at 0 rows, from reading to reading.
     """
     rows = [np.flatnonzero(~np.isnan(e)) for e in errors]
     steps, counts = np.unique(np.concatenate([np.diff(r) for r in rows]), return_counts=True)
@@ -34,7 +36,9 @@ def autoregression(errors: Sequence[FloatArray]) -> tuple[int, FloatArray]:
         for e, there in zip(errors, rows, strict=True)
         for piece in np.split(there, np.flatnonzero(np.diff(there) != stride) + 1)
     ]
-    if sum(max(piece.size - MOST_LAGS, 0) for piece in pieces) < ROWS_PER_LAG * MOST_LAGS:
+    follows = np.concatenate([np.arange(piece.size) >= MOST_LAGS for piece in pieces])
+    thirds = [np.mean(part) for part in np.array_split(follows, 3) if part.size]
+    if np.sum(follows) < ROWS_PER_LAG * MOST_LAGS or min(thirds) < LEAST_FOLLOWING:
         stride, pieces = 0, [e[there] for e, there in zip(errors, rows, strict=True)]
     back = range(MOST_LAGS + 1)
     rows = [

@@ -278,8 +278,9 @@ class Bench:
             change, size = np.diag(fit.scale), 0.0
             # Of a linear model they are one for all.
             for step in whole if len(whole) != 1 else [*whole] * (len(one.path.states) // 2):
-                change = step @ change
-                norm = float(np.linalg.norm(change / fit.scale[:, None]))
+                with np.errstate(invalid="ignore", over="ignore"):
+                    change = step @ change
+                    norm = float(np.linalg.norm(change / fit.scale[:, None]))
                 if not 0.0 < norm < np.inf:
                     break
                 change, size = change / norm, size + float(np.log(norm))

@@ -79,7 +79,7 @@ class Metric:
         """
         total = 0.0
         for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
-            mean = float(np.mean(rows**2))
+            mean = float(np.sum(rows**2)) / max(rows.size, 1)
             beyond = max(mean - 1.0, 0.0) if known else 0.0
             total -= (
                 0.5 * rows.size * float(np.log(max((mean - beyond) * sigma**2, 1e-300)) + beyond)
@@ -90,7 +90,7 @@ class Metric:
         """Return the metric with the size of each output's errors at its best."""
         sizes = []
         for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
-            size = sigma * float(np.sqrt(np.mean(rows**2)))
+            size = sigma * float(np.sqrt(np.sum(rows**2) / max(rows.size, 1)))
             sizes.append(size if size > 0.0 else sigma)
         return replace(self, sigma=tuple(sizes))
 
