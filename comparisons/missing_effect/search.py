@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.missing_effect.engine import A, Candidate, F, Round, System
+from comparisons.missing_effect.engine import A, Candidate, F, Policy, Round, System
 from comparisons.missing_effect.evidence import cosine_of, paired_z
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.results import MissingEffect
@@ -107,12 +107,7 @@ def _winner(
     standing = [c for c in ranked if c.evidence.stands]
     best = max((c for c in standing if c.accepted), key=lambda c: c.rank, default=None)
     if best is None:
-        slows = [c for c in ranked if c.accepted_slow and len(c.added) == 1]
-        slow = max(slows, key=lambda c: c.slow, default=None)
-        if slow is not None and slow.unnamed:
-            # A name speaks here, too, wherever it wins nearly as much.
-            alike = [c for c in slows if not c.unnamed and c.slow > policy.same_share * slow.slow]
-            slow = max(alike, key=lambda c: c.slow, default=slow)
+        slow = _best_slow([c for c in ranked if c.accepted_slow and len(c.added) == 1], policy)
         return slow, () if slow is None else (slow,), False
     names = [c for c in standing if not c.unnamed]
     rivalled = False
@@ -127,9 +122,11 @@ def _winner(
     if policy.refused_stand:
         pool = list(ranked)
     pool = [c for c in pool if c is not best and c.rank > -np.inf]
-    simple = _simple_form(best, pool)
+    simple = _simple_form(best, [*pool, *standing])
     near = system.near(best, pool, policy.alias) if best.rank > -np.inf else []
     aliases = [best, *(c for c in pool if (c in near or c is simple) and not c.outgrown)]
+    if simple is not None and simple not in aliases:
+        aliases.append(simple)
     if policy.plain_speaks:
         top = max(c.rank for c in aliases)
         # Names that rounding alone parts stand in the order of the catalogue.
@@ -144,15 +141,29 @@ def _winner(
     return aliases[0], tuple(aliases), rivalled
 
 
+def _best_slow(slows: Sequence[Candidate[A, F]], policy: Policy) -> Candidate[A, F] | None:
+    """Return what wins most in plain errors; a name that wins nearly as much as a term speaks."""
+    if not slows:
+        return None
+    best = max(slows, key=lambda c: c.slow)
+    if best.unnamed:
+        names = [c for c in slows if not c.unnamed and c.slow > policy.same_share * best.slow]
+        best = max(names, key=lambda c: c.slow, default=best)
+    plain = [c for c in slows if c.added[0].is_plain_form_of(best.added[0])]
+    return next((c for c in plain if c.slow > best.slow - RIVALLED), best)
+
+
 def _simple_form(best: Candidate[A, F], pool: Sequence[Candidate[A, F]]) -> Candidate[A, F] | None:
     """Return the plain form of the best where that wins nearly as much.
 
     A refinement that wins a few per cent more is no other effect: the plain form speaks, and the
-    refinement may be found in the next round.
+    refinement may be found in the next round. A plain form without a name speaks for a name where
+    rounding alone parts them: a leak in proportion to a level was a threshold that was never met.
     """
     for c in pool:
-        alone = len(c.added) == len(best.added) == 1
-        fair = c.rank > SIMPLE_SHARE * best.rank and not c.outgrown
+        alone = len(c.added) == len(best.added) == 1 and c is not best
+        least = best.rank - RIVALLED if c.unnamed > best.unnamed else SIMPLE_SHARE * best.rank
+        fair = c.rank > least and not c.outgrown
         if alone and fair and c.added[0].is_plain_form_of(best.added[0]):
             return c
     return None

@@ -150,8 +150,8 @@ def diagnose_model(
     report("fitting all rows")
     diagnosis = _concluded(base, system, tuple(rounds), checks, left)
     said = [
-        f"{name} is read every {every} rows and held in between: only rows with a new reading "
-        "are fitted and scored"
+        f"The output {name} is held for {every} rows after each reading: only rows with a new "
+        "reading are fitted and scored"
         for name, every in held.items()
     ]
     return replace(diagnosis, remarks=(*said, *diagnosis.remarks))

@@ -44,6 +44,8 @@ from surge_core.types import FloatArray
 REFINED = frozenset(name for effect in SYSTEM_CATALOGUE for name in effect.simple_form_of) | {
     "dead_zone"
 }
+# Their first number is nothing where they are: a lag of 230 ± 100 ms was firm.
+FROM_NOTHING = frozenset({"further_lag", "backlash", "dead_zone"})
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
 # what fitted ones gain each, and no rival elsewhere that the record does not reject at this
 # chance.
@@ -85,7 +87,7 @@ def doubts_of(
     winner = step.winner
     assert winner is not None
     out = []
-    amplitude = bool(numbers) and placed.effect.linear
+    amplitude = bool(numbers) and (placed.effect.linear or placed.name in FROM_NOTHING)
     if amplitude and not np.isfinite(numbers[0].stderr):
         out.append(f"{numbers[0].name} is not fixed by these records")
     elif amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:

@@ -17,6 +17,8 @@ FEWEST_READINGS = 10
 # So many values no relay has; by chance all their changes lie two rows apart, or a multiple of
 # that, once in half a million records.
 FEWEST_VALUES = 20
+# Of the gaps of a sensor with a clock of its own; the others hold a reading equal to the last.
+STEADY = 0.9
 # Of the jumps of an input that is held. Of one that is drawn as one of two in each row it is half.
 REPEATED = 0.4
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it
@@ -159,14 +161,24 @@ def _changes(values: FloatArray) -> IntArray:
 def held_rows(name: str, fit: Sequence[Experiment], check: Sequence[Experiment]) -> int:
     """Return for how many rows an output is held after each reading in all runs; 1 if it is not.
 
-    It changes after most of them, and what is fitted has readings enough without the repeats.
+    It changes after most of them, and what is fitted has readings enough without the repeats. A
+    sensor with a clock of its own is held for so many rows or one more or less: one that was read
+    every 7 or 8 rows, and had no lag, got a firm one of half of that.
     """
     runs = (*fit, *check)
     changed = [_changes(e.channels[name]) for e in runs]
-    every = int(np.gcd.reduce(np.concatenate([[0], *(np.diff(rows) for rows in changed)])))
+    gaps = np.concatenate([np.zeros(0, dtype=np.intp), *(np.diff(rows) for rows in changed)])
+    every = int(np.gcd.reduce(gaps))
+    if every == 1 and gaps.min() > 1:
+        usual = int(np.median(gaps))
+        pairs = zip(runs, changed, strict=True)
+        jumps = np.abs(np.concatenate([np.diff(e.channels[name])[rows - 1] for e, rows in pairs]))
+        # A slow rise that is rounded steps as evenly, by one digit each time.
+        steady = np.median(jumps) > 1.5 * jumps.min()
+        every = usual if steady and np.mean(np.abs(gaps - usual) <= 1) >= STEADY else 1
     readings = sum(e.n_samples for e in runs) / max(every, 1)
     values = np.unique(np.concatenate([e.read(name) for e in runs]))
-    often = sum(rows.size for rows in changed) > 0.5 * readings
+    often = gaps.size > 0.5 * readings
     enough = all(e.n_samples > 3 * FEWEST_READINGS * every for e in fit)
     return every if often and enough and values.size >= FEWEST_VALUES else 1
 
@@ -175,9 +187,11 @@ def without_repeats(experiment: Experiment, held: Mapping[str, int]) -> Experime
     """Return a run whose held outputs are no number but where they are read."""
     channels = dict(experiment.channels)
     for name, every in held.items():
-        first = _changes(channels[name])[:1]
-        fresh = (np.arange(experiment.n_samples)[:, None] - first) % every == 0
-        channels[name] = np.where(fresh.all(axis=1), channels[name], np.nan)
+        rows = _changes(channels[name])
+        fresh = np.isin(np.arange(experiment.n_samples), rows)
+        if not np.any(np.diff(rows) % every):
+            fresh = (np.arange(experiment.n_samples) - rows[:1].sum()) % every == 0
+        channels[name] = np.where(fresh, channels[name], np.nan)
     return replace(experiment, channels=channels)
 
 

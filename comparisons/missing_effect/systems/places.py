@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class Place:
     at: int
     signal: int = -1
     other: int = -1
-    sign: int = 1
+    sign: int = field(default=1, compare=False)
 
 
 @dataclass(frozen=True)

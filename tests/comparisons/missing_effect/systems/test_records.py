@@ -239,6 +239,7 @@ def test_an_output_is_held_where_its_repeats_are_regular() -> None:
     read = np.repeat(rng.standard_normal(300), 4)
     gap = read.copy()
     gap[500] = np.nan
+    own, slow = np.repeat(read[::4], rng.integers(7, 10, 300)), np.round(0.13 * np.arange(2000))
     relay = np.repeat(np.tile([1.0, -1.0], 30), 20)
     bits = np.round(20.0 * np.sin(np.arange(900) / 9.0))
 
@@ -246,7 +247,7 @@ def test_an_output_is_held_where_its_repeats_are_regular() -> None:
         runs = [Experiment("one", 1.0, {"y": y}) for y in outputs]
         return held_rows("y", runs[:1], runs[1:])
 
-    assert [rows(y) for y in (read, gap, read[1:], read[:100])] == [4, 4, 4, 1]
+    assert [rows(y) for y in (read, gap, read[1:], own, slow, read[:100])] == [4, 4, 4, 8, 1, 1]
     assert [rows(read, read[:78]), rows(relay), rows(bits), rows(rng.random(900))] == [4, 1, 1, 1]
 
 
