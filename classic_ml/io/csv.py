@@ -180,13 +180,6 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                         f"{file}: column {name}",
                         expected="0 or 1" if flag else "a finite number in every row",
                         found=f"{cell!r} in row {row}" if cell else f"an empty cell in row {row}",
-                        remedy="write 0 or 1 in every row"
-                        if flag
-                        else NOT_FINITE_REMEDY
-                        + (
-                            "; save it with points in all numbers and nothing between thousands"
-                            if any(sign.isdigit() for sign in cell)
-                            else ""
-                        ),
+                        remedy="write 0 or 1 in every row" if flag else NOT_FINITE_REMEDY,
                     )
     return None

@@ -130,17 +130,10 @@ RAW_FILES = (
     refused("raw-missing", "none.csv|no such file", nothing, REDUCE.replace("raw.csv", "none.csv")),
     refused("raw-no-header", "raw.csv|header|time_s", as_lines(lambda rows: rows[1:])),
     refused(
-        "raw-utf16",
-        "raw.csv|UTF-16|UTF-8",
-        as_bytes(lambda data: data.decode().encode("utf-16")),
+        "raw-utf16", "raw.csv|UTF-16|UTF-8", as_bytes(lambda data: data.decode().encode("utf-16"))
     ),
     harmless("raw-bom", as_bytes(lambda data: b"\xef\xbb\xbf" + data)),
     harmless("raw-spreadsheet", as_text(decimal_commas)),
-    refused(
-        "raw-two-decimal-signs",
-        "raw.csv|time_s|points in all numbers",
-        as_text(lambda text: decimal_commas(text).replace("0,001;", "0.001;", 1)),
-    ),
     refused(
         "raw-decimal-commas",
         "raw.csv|values in every row|row 1",
