@@ -374,7 +374,8 @@ def _found(
     model, evidence = records.model, winner.evidence
     aliases = [c.added[0] for c in step.aliases] if len(winner.added) == 1 else [placed]
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = doubts_of(step, placed, numbers, checks, model, left, errors)
+    alone = len(found) == 1
+    doubts = doubts_of(step, placed, numbers, checks, model, left, errors, alone=alone)
     doubts += doubts_beside(placed, numbers, found, left, model, checks, one_sided(fit, records))
     doubts += tuple(f"the records ask for {bound}" for bound in beyond.values())
     doubts += tuple(filter(None, [at_bound(fit, placed)]))

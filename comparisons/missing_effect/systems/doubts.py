@@ -78,11 +78,13 @@ def doubts_of(
     model: Model,
     left: Leftover,
     errors: Sequence[FloatArray],
+    *,
+    alone: bool,
 ) -> tuple[str, ...]:
     """Return why a name is not firm, or a term not to be relied on; empty where it is.
 
     ``errors`` are the rms error of each output on the rows fitted without and with what was
-    found, and what is new in each sample of it.
+    found, and what is new in each sample of it; ``alone`` is whether nothing else was found.
     """
     winner = step.winner
     assert winner is not None
@@ -94,11 +96,12 @@ def doubts_of(
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
     worse = [run for run in checks if np.any(run.worse)]
+    by = "it" if alone else "all that was added"
     if worse:
         names = ", ".join(run.name for run in worse)
-        out.append(f"the error on {names} got no better by it")
+        out.append(f"the error on {names} got no better by {by}")
     elif checks and not any(np.any(run.after_rms < _known(run.before_rms)) for run in checks):
-        out.append("the error on no check record got better by it")
+        out.append(f"the error on no check record got better by {by}")
     if placed.effect.unnamed:
         return tuple(out)
     plain = [c.added[0] for c in step.candidates if c.added[0].is_plain_form_of(placed)]
