@@ -163,10 +163,8 @@ def _with_drift(
     """Look for a drift over whole records, of which the search saw the first rows alone."""
     drifts = [effect for effect in catalogue if effect.kind is Kind.DRIFT]
     whole = system.over_whole_records()
-    if not drifts or whole.failed:
-        return system, rounds
-    step = search_round(whole, drifts, ())
-    if step.winner is None:
+    step = None if not drifts or whole.failed else search_round(whole, drifts, ())
+    if step is None or step.winner is None:
         return system, rounds
     moved = whole.with_better(step.winner.fit, step.winner.onward)
     if not is_worth_adding(step, whole, moved):

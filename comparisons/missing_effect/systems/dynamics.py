@@ -97,7 +97,7 @@ def _inputs(t: float, X: FloatArray, system: System, u: FloatArray, dX: FloatArr
 
 @kernel
 def _parameters(t: float, system: System, p: FloatArray) -> None:
-    """Fill p with the model's parameters, drifting ones at the clock."""
+    """Fill p with the model's parameters at a time of the clock, since some drift."""
     theta, ints, floats, _, clock = system
     n_u, n_p, n_eff = ints[3], ints[4], ints[7]
     for i in range(n_p):
@@ -105,7 +105,7 @@ def _parameters(t: float, system: System, p: FloatArray) -> None:
     for e in range(n_eff):
         row = HEAD + ROW * e
         if ints[row] == 7:
-            along = (t + clock[0] - clock[2]) / clock[3]
+            along = (t - clock[2]) / clock[3]
             p[ints[row + 2]] += theta[n_p + n_u + SLOTS * e] * floats[FLOATS * e] * along
 
 
@@ -170,8 +170,8 @@ def extended(
 ) -> None:
     """Fill dX with dX/dt of the extended system and, where asked, its outputs in the scratch.
 
-    The time is in seconds since the run's first sample. The scratch comes from `scratch_for`: this
-    is called millions of times, and must make no arrays.
+    The time counts from the run's first sample; what the user wrote goes by the record's clock. The
+    scratch comes from `scratch_for`: called millions of times, this must make no arrays.
     """
     theta, ints, floats, _, clock = system
     n_eff, at = ints[7], ints[4] + ints[3]
@@ -182,6 +182,7 @@ def extended(
     for i in range(x.size):
         x[i] = X[i]
     _inputs(t, X, system, u, dX)
+    t += clock[0]
     _parameters(t, system, p)
     for e in range(n_eff):
         row = HEAD + ROW * e

@@ -58,8 +58,9 @@ class Model(Displayed):
     params : mapping of str to P
         Parameters with start, bounds and unit.
     rhs : callable
-        ``rhs(t, x, u, p)`` returns dx/dt, one number a state (an array a vector) in their order;
-        arithmetic, ``math``, numpy functions, tables with ``numpy.interp`` and ``if`` are compiled.
+        ``rhs(t, x, u, p)`` returns dx/dt, one number a state (an array a vector) in their order; t
+        is the record's own clock, ``time_s``. Arithmetic, ``math``, numpy functions, tables with
+        ``numpy.interp`` and ``if`` are compiled.
     output : callable
         ``output(t, x, u, p)`` returns the measured quantities, one number an output.
     exact : sequence of str
@@ -135,8 +136,8 @@ class Model(Displayed):
         ----------
         simulate : callable
             ``simulate(t, u, p)`` returns the outputs, shape (n, n_y) or one array an output, for
-            times t in seconds from the start, inputs ``u.name`` of shape (n,) and parameters
-            ``p.name``.
+            times t in seconds from the record's first row, inputs ``u.name`` of shape (n,) and
+            parameters ``p.name``.
         inputs, outputs, params : mapping
             As of `Model`.
         **options
@@ -280,10 +281,8 @@ class Model(Displayed):
         """Named tuples of states, inputs and parameters, as the functions take them."""
         own = (*self.param_names, *self.state_names[self.own_states :])
         given = (tuple(self.state_groups), self.input_names, own)
-        kinds: list[Any] = [
-            namedtuple(kind, names) for kind, names in zip("xup", given, strict=True)
-        ]
-        return kinds[0], kinds[1], kinds[2]
+        x, u, p = (namedtuple(kind, names) for kind, names in zip("xup", given, strict=True))
+        return x, u, p
 
     def groups(
         self, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]

@@ -282,6 +282,7 @@ class _Signals:
         self.outputs = np.concatenate([run.outputs for run in runs])
         self.simulated = np.concatenate([path.outputs for path in fit.paths])
         h = runs[0].sample_period_s
+        self.times = np.concatenate([r.clock[0] + h * np.arange(r.n_samples) for r in runs])
         self.slopes = np.concatenate([np.gradient(s[:, : self.n_x], h, axis=0) for s in every])
 
     def of(self, effect: SystemEffect, place: Place) -> tuple[FloatArray, FloatArray]:
@@ -299,9 +300,10 @@ class _Signals:
 
     def _term(self, function: Callable[..., float]) -> FloatArray:
         p = tuple(self.theta[: len(self.model.params)].tolist())
-        rows = self.signals[:: max(1, len(self.signals) // SIZED_ROWS)]
-        given = [self.model.groups(tuple(r[: self.n_x]), tuple(r[self.n_x :]), p) for r in rows]
-        return np.array([function(0.0, *groups) for groups in given], dtype=np.float64)
+        n, every = self.n_x, max(1, len(self.signals) // SIZED_ROWS)
+        rows = zip(self.times[::every], self.signals[::every], strict=True)
+        given = [(t, *self.model.groups(tuple(r[:n]), tuple(r[n:]), p)) for t, r in rows]
+        return np.array([function(*values) for values in given], dtype=np.float64)
 
     def placed(
         self, effect: SystemEffect, place: Place, starts: tuple[tuple[float, ...], ...]

@@ -120,7 +120,7 @@ def why_failed(structure: Structure, run: Run, theta: FloatArray, start: FloatAr
             _, u, params = model.groups(tuple(start), tuple(inputs.T), p)
             model.simulate(run.sample_period_s * np.arange(n, dtype=np.float64), u, params)
             return "outputs that are no finite numbers"
-        slopes, _ = model.evaluate(0.0, tuple(start), tuple(inputs[0]), p)
+        slopes, _ = model.evaluate(run.clock[0], tuple(start), tuple(inputs[0]), p)
     except FAILURES as error:
         return f"{type(error).__name__}: {error}"
     bad = [name for name, slope in zip(model.states, slopes, strict=True) if not np.isfinite(slope)]

@@ -156,9 +156,7 @@ def test_a_black_box_that_fails_loses_and_one_of_another_shape_is_refused() -> N
             raise ZeroDivisionError
         return circuit(t, u, p)
 
-    model = Model.from_simulate(
-        stuck, make.circuit().inputs, make.circuit().outputs, make.circuit().params
-    )
+    model = replace(boxed(), simulate=stuck)
     run = make.runs_on(model, [make.experiment("circuit", truth.circuit(3, 200))])[0]
     structure = Structure(model)
     theta = structure.start()
@@ -166,9 +164,7 @@ def test_a_black_box_that_fails_loses_and_one_of_another_shape_is_refused() -> N
     assert path_of(structure, run, theta, np.zeros(0), np.zeros(0)).failed
 
     def refused(simulate: Any, words: str) -> None:
-        model = Model.from_simulate(
-            simulate, make.circuit().inputs, make.circuit().outputs, make.circuit().params
-        )
+        model = replace(boxed(), simulate=simulate)
         with pytest.raises(InputError, match="model: simulate: expected " + words):
             diagnose_model(model, make.experiment("circuit", truth.circuit(3, 200)))
 

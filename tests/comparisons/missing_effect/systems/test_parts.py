@@ -227,6 +227,7 @@ def test_a_term_of_ones_own_may_be_a_function_of_anything() -> None:
         number = numbers_of(whole, placed[0], cov, run.clock)[0]
         assert abs(number.value + 3.0) < 4.0 * number.stderr < 1.5
         assert number.unit == "N"
+    assert placed_effects(fit, [run], [open_effect("sway", lambda t, x, u, p: np.sin(t))])[0]
 
 
 @pytest.mark.parametrize(
