@@ -51,7 +51,7 @@ SCALES: dict[Kind, tuple[str, ...]] = {
     Kind.OUTPUT_LAG: ("samples",),
     Kind.OVERFLOW: (RMS, "1"),
     Kind.RECORDING: ("samples", "samples²"),
-    Kind.DRIFT: ("the start of the parameter, over half the records' span",),
+    Kind.DRIFT: ("the parameter (of either sign: its nearer bound), over half the records' span",),
 }
 
 

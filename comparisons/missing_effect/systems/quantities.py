@@ -27,12 +27,12 @@ SANDWICH_BLOCKS = 40
 AT_BOUND, BEYOND = 1e-4, 3.0
 # How much wider a bound is made that stands in the way.
 WIDER = 10.0
-# Powers of the scales in which the numbers of an effect are given, slot by slot: of dx/dt that it
+# Powers of the scales in which the numbers of an effect are given, slot by slot: of what it
 # enters, of its own signal, of a second signal or a time, of the sample period, of half the span.
 ACTS_IN, ENTERS = (Kind.TERM, Kind.HYSTERESIS), {"into": 1, "second": -1}
 SLOTS_IN: dict[Kind, tuple[dict[str, int], ...]] = {
     Kind.HYSTERESIS: (ENTERS, {"own": 1, "other": 1}),
-    Kind.DRIFT: ({"half": -1},),
+    Kind.DRIFT: ({"into": 1, "half": -1},),
     Kind.RECORDING: ({"period": 1}, {"period": 2}),
     **dict.fromkeys((Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.OUTPUT_LAG), ({"period": 1},)),
 }
@@ -152,9 +152,6 @@ def numbers_of(
         factor, unit = _factor(model, placed, slot, clock)
         if slot == 0 and placed.effect.resists:
             factor = -factor
-        if placed.effect.kind == Kind.DRIFT:
-            # Told as a share of the parameter as it is now, not as it was without the drift.
-            factor *= placed.scales[0] / max(abs(float(fit.theta[placed.place.at])), 1e-300)
         value, stderr = float(fit.theta[at + slot]), float(np.sqrt(cov[at + slot, at + slot]))
         if stderr > number.high - number.low:
             # The errors of a shape turn back here, as about the peak of a curve: to first order
@@ -234,6 +231,8 @@ def _factor(model: Model, placed: Placed, slot: int, clock: FloatArray) -> tuple
     units["own"] = signals[place.signal] if place.signal >= 0 else "1"
     if effect.kind in AT_OUTPUTS:
         units["own"] = list(model.outputs.values())[place.at]
+    elif effect.kind == Kind.DRIFT:
+        units["into"] = list(model.params.values())[place.at].unit
     elif effect.expression is not None:
         units["own"] = _unit_of_term(model, placed)
     if effect.kind == Kind.TERM and place.other >= 0:

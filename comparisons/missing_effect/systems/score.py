@@ -323,8 +323,9 @@ class _Signals:
     def _scales(self, effect: SystemEffect, place: Place) -> tuple[float, float, float]:
         """Return the scales of what it enters, of its signal, and of a second one or a time."""
         if effect.kind == Kind.DRIFT:
-            value = abs(float(self.theta[place.at]))
-            return value if value > 0.0 else 1.0, 1.0, 1.0
+            p = list(self.model.params.values())[place.at]
+            # One of either sign is no smaller near zero: of one fitted as 0.00 a drift was missed.
+            return max(abs(float(self.theta[place.at])), min(p.high, -p.low)), 1.0, 1.0
         own = rms(self.of(effect, place)[1])
         if effect.kind not in (Kind.TERM, Kind.HYSTERESIS):
             return 1.0, own, 1.0
