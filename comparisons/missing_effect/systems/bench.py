@@ -135,7 +135,11 @@ class Bench:
         """Return the bench with another model, fitted in the raw metric; its offsets are held."""
         bench = self.laid(structure.between)
         held = replace(structure, offsets_free=False)
-        fit = fit_runs(held, bench.train, self.raw, theta, self.fit.starts)
+        # Where effects are gone, their states are as well.
+        known = self.fit.structure.effects
+        kept = None if structure.effects[: len(known)] == known else len(structure.model.states)
+        starts = [start[:kept] for start in self.fit.starts]
+        fit = fit_runs(held, bench.train, self.raw, theta, starts)
         return replace(bench, fit=fit)
 
     def with_better(self, white: Fit, raw: Fit | None) -> Self:

@@ -6,7 +6,7 @@ that outputs of different units weigh as their own errors ask for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from comparisons.missing_effect.systems.linearised import Linearised
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.simulate import FINE, Path, own_starts, path_of
+from comparisons.missing_effect.systems.simulate import FINE, Path, off_known, own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray, IntArray
 
@@ -66,8 +66,9 @@ class Fit:
 
     @property
     def n_parameters(self) -> int:
-        """Numbers fitted, the starts of runs not counted."""
-        return int(self.structure.free.size)
+        """Numbers fitted, among the starts of runs those of effects alone."""
+        own = self.structure.started.size - len(self.structure.model.states)
+        return int(self.structure.free.size) + own * len(self.starts)
 
     def again(
         self,
@@ -95,18 +96,27 @@ class Fit:
             for experiment, path in zip(experiments, self.paths, strict=True)
         ]
 
-    def whitened_answers(
-        self, runs: Sequence[Run], metric: Metric, which: IntArray, rows: int | None = None
-    ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        """Yield for each run its unknowns, its whitened answers to them, and its whitened errors.
+    def slopes(
+        self, runs: Sequence[Run], metric: Metric, which: IntArray, rows: int | None, blocks: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the normal matrix of numbers of θ, and behind them the starts, and the slopes.
 
-        Unknowns are the numbers of θ that are asked for, and behind them the starts of all runs.
+        Downhill: of what is known of starts, and of the errors of blocks of each run's rows.
         """
-        m, n_x = which.size, len(self.structure.model.states)
+        m, k, scores = which.size, self.structure.started.size, []
+        normal = np.diag(pull := np.zeros(m + k * len(runs)))
         for r, (one, errors) in enumerate(zip(self.linearised(runs), self.errors, strict=True)):
-            at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
-            J = one.to_numbers(which)[:rows, :, : m + n_x]
-            yield at, metric.whitened(J), metric.whitened(errors[:rows])
+            at = np.r_[np.arange(m), m + k * r + np.arange(k)]
+            J, error = (metric.whitened(e[:rows]) for e in (one.to_numbers(which), errors))
+            for part in np.array_split(np.arange(len(error)), blocks):
+                white, score = J[part].reshape(-1, at.size), np.zeros(pull.size)
+                normal[np.ix_(at, at)] += white.T @ white
+                score[at] = white.T @ error[part].ravel()
+                scores.append(score)
+            off, weight = off_known(self.structure, one.run, self.starts[r])
+            normal[at[m:], at[m:]] += weight
+            pull[at[m:]] -= off * weight
+        return normal, pull, np.array(scores)
 
 
 def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
@@ -178,20 +188,16 @@ class _Search:
         )
         cost = np.inf
         if not any(path.failed for path in paths):
-            both = zip(self.runs, starts, strict=True)
-            prior = sum(float(np.sum(self._prior(run, start) ** 2)) for run, start in both)
+            both = (off_known(self.structure, *one) for one in zip(self.runs, starts, strict=True))
+            prior = sum(float(off**2 @ weight) for off, weight in both)
             # A few rows do not know how large their errors may be.
-            known = self.rows is not None
-            scored = [e[: self.rows] for e in errors]
-            cost = 0.5 * prior - self.metric.log_likelihood(scored, known=known)
+            few, scored = self.rows is not None, [e[: self.rows] for e in errors]
+            cost = 0.5 * prior - self.metric.log_likelihood(scored, known=few)
         return Fit(self.structure, theta, starts, scale, float(cost), errors, paths)
-
-    def _prior(self, run: Run, start: FloatArray) -> FloatArray:
-        return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
 
     def run(self, point: Fit, most: int) -> Fit:
         """Search from a point."""
-        unknowns = self.which.size + len(self.runs) * len(self.structure.model.states)
+        unknowns = self.which.size + len(self.runs) * self.structure.started.size
         if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
@@ -222,21 +228,12 @@ class _Search:
 
     def _normal(self, point: Fit) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the downhill slope, the starts of runs behind θ."""
-        m = self.which.size
-        size = m + len(self.structure.model.states) * len(self.runs)
-        normal, slope = np.zeros((size, size)), np.zeros(size)
         metric = self.metric.with_size_of([e[: self.rows] for e in point.errors])
         if self.rows is not None:
             known = zip(metric.sigma, self.metric.sigma, strict=True)
             metric = replace(metric, sigma=tuple(map(min, known)))
-        answers = point.whitened_answers(self.runs, metric, self.which, self.rows)
-        for (at, J, error), run, start in zip(answers, self.runs, point.starts, strict=True):
-            white, own = J.reshape(-1, at.size), at[m:]
-            normal[np.ix_(at, at)] += white.T @ white
-            slope[at] += white.T @ error.ravel()
-            normal[own, own] += 1.0 / run.x0_sd**2
-            slope[own] -= self._prior(run, start) / run.x0_sd
-        return normal, slope
+        normal, pull, scores = point.slopes(self.runs, metric, self.which, self.rows, 1)
+        return normal, pull + scores.sum(axis=0)
 
     def _step(
         self, point: Fit, normal: FloatArray, slope: FloatArray, damping: float
@@ -288,16 +285,17 @@ class _Search:
         return low, high
 
     def _moved(self, point: Fit, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        m, n_x = self.which.size, len(self.structure.model.states)
+        m, model = self.which.size, self.structure.model
         low, high = self.structure.bounds
         theta = point.theta.copy()
         theta[self.which] += step[:m]
         theta = np.clip(theta, low, high)
         starts = []
-        for r, start in enumerate(point.starts):
+        for start, own in zip(point.starts, step[m:].reshape(len(point.starts), -1), strict=True):
             moved = start.copy()
-            moved[:n_x] += step[m + n_x * r : m + n_x * (r + 1)]
-            moved[:n_x] = np.clip(moved[:n_x], *self.structure.start_bounds)
+            moved[self.structure.started] += own
+            for i, p in enumerate(model.per_record.values(), start=model.own_states):
+                moved[i] = np.clip(moved[i], p.low, p.high)
             starts.append(moved)
         return theta, tuple(starts)
 
@@ -344,10 +342,11 @@ def start_error(
     """
     if fit.failed:
         return least, np.zeros(run.outputs.shape[1])
-    ((_, white, _),) = fit.whitened_answers([run], metric, np.zeros(0, dtype=np.int64))
-    J = np.where(run.valid[:, :, None], white, 0.0) * fit.scale[: white.shape[2]]
+    white = metric.whitened(fit.linearised([run])[0].to_numbers(np.zeros(0, dtype=np.int64)))
+    scale = fit.scale[fit.structure.started]
+    J = np.where(run.valid[:, :, None], white, 0.0) * scale
     known = np.cumsum(np.einsum("nyi,nyj->nij", J, J), axis=0)
-    known += np.diag((fit.scale[: run.x0_sd.size] / run.x0_sd) ** 2)
+    known += np.diag(scale**2 * off_known(fit.structure, run, fit.starts[0])[1])
     rows = least
     while True:
         spread = np.einsum("nyi,ij,nyj->y", J[rows:], np.linalg.pinv(known[rows - 1]), J[rows:])

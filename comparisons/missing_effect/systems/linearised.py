@@ -83,16 +83,17 @@ class Linearised:
 
     @QUIET
     def to_numbers(self, which: IntArray) -> FloatArray:
-        """Return how the outputs answer to numbers of θ, and then to each state at the start.
+        """Return how the outputs answer to numbers of θ, and then to the starts estimated.
 
-        Of shape (n, n_y, m + n_X), and not a number where the run has no reading.
+        Of shape (n, n_y, m + k), and not a number where the run has no reading.
         """
         steps = self.structure.steps(self.theta)[which]
         if self.transitions is None:
             return self._read(self._differences(which, steps))
         (rows, n_X), m = self.path.states.shape, which.size
+        starts = np.eye(n_X)[:, self.structure.started]
         forcing = np.zeros((rows, n_X, m))
-        direct = np.zeros((*self.run.outputs.shape, m + n_X))
+        direct = np.zeros((*self.run.outputs.shape, m + starts.shape[1]))
         for c, (number, step) in enumerate(zip(which, steps, strict=True)):
             sides = []
             for side in (step, -step):
@@ -104,7 +105,7 @@ class Linearised:
             forcing[:, :, c], direct[:, :, c] = (
                 (up - down) / (2.0 * step) for up, down in zip(*sides, strict=True)
             )
-        return self._carried(forcing, np.hstack([np.zeros((n_X, m)), np.eye(n_X)]), direct)
+        return self._carried(forcing, np.hstack([np.zeros((n_X, m)), starts]), direct)
 
     @QUIET
     def to_effects(self, laid: Sequence[Laid]) -> FloatArray:

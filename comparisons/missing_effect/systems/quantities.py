@@ -52,14 +52,15 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     """
     # Offsets are held in the raw fit, but they are not known exactly.
     which = replace(fit.structure, offsets_free=True).free
-    m, n_x = which.size, len(fit.structure.model.states)
+    m, k = which.size, fit.structure.started.size
     if fit.failed:
         size = fit.theta.size + len(runs) * len(fit.structure.model.per_record)
         return np.full((size, size), np.nan)
-    spread, blind = sandwich(*_slopes(fit, runs, metric, which))
+    spread, blind = sandwich(*_slopes(fit, runs, metric, which)[::2])
     spread[blind, blind] = np.inf
     model = fit.structure.model
-    of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
+    own = range(model.own_states, len(model.states))
+    of_records = [m + k * r + i for r in range(len(runs)) for i in own]
     kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
     at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
     whole = np.zeros((at.size + fit.theta.size - m,) * 2)
@@ -79,14 +80,10 @@ def asked_beyond(fit: Fit, runs: Sequence[Run], metric: Metric) -> dict[str, str
     if fit.failed or not any(near):
         return {}
     which = fit.structure.free
-    normal, scores = _slopes(fit, runs, metric, which)
+    normal, pull, scores = _slopes(fit, runs, metric, which)
     # What the bound brings about is no scatter.
     spread, blind = sandwich(normal, scores - scores.mean(axis=0))
-    slope, n_x = scores.sum(axis=0), len(fit.structure.model.states)
-    for r, (run, start) in enumerate(zip(runs, fit.starts, strict=True)):
-        own = slice(which.size + n_x * r, which.size + n_x * (r + 1))
-        slope[own] -= (start[:n_x] - run.x0_mean) / run.x0_sd**2
-    step = np.linalg.lstsq(normal, slope, rcond=None)[0]
+    step = np.linalg.lstsq(normal, pull + scores.sum(axis=0), rcond=None)[0]
     out = {}
     for i, (name, p) in enumerate(params.items()):
         column = np.flatnonzero(which == i)
@@ -118,22 +115,10 @@ def _further(bound: float, side: int) -> float:
 
 def _slopes(
     fit: Fit, runs: Sequence[Run], metric: Metric, which: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the normal matrix and the downhill slopes of blocks of rows, starts behind θ."""
-    m, n_x = which.size, len(fit.structure.model.states)
-    size = m + n_x * len(runs)
-    normal, scores = np.zeros((size, size)), []
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the normal matrix and the downhill slopes of starts and of blocks of rows."""
     blocks = max(4, SANDWICH_BLOCKS // len(runs))
-    answers = fit.whitened_answers(runs, metric.with_size_of(fit.errors), which)
-    for (at, J, error), run in zip(answers, runs, strict=True):
-        for rows in np.array_split(np.arange(run.n_samples), blocks):
-            part = J[rows].reshape(-1, at.size)
-            normal[np.ix_(at, at)] += part.T @ part
-            score = np.zeros(size)
-            score[at] = part.T @ error[rows].ravel()
-            scores.append(score)
-        normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
-    return normal, np.array(scores)
+    return fit.slopes(runs, metric.with_size_of(fit.errors), which, None, blocks)
 
 
 def numbers_of(

@@ -176,8 +176,7 @@ class Prober:
     def __init__(self, fit: Fit, runs: Sequence[Run], effects: Sequence[Placed]) -> None:
         self.fit, self.runs = fit, tuple(runs)
         along, free = fit.linearised(self.runs), fit.structure.free
-        unknowns = free.size + len(fit.structure.model.states)
-        self._nuisance = [one.to_numbers(free)[:, :, :unknowns] for one in along]
+        self._nuisance = [one.to_numbers(free) for one in along]
         self._laid = [(placed, start) for placed in effects for start in placed.starts]
         self._columns: list[list[FloatArray]] = []
         for first in range(0, len(self._laid), LAID_TOGETHER):
@@ -222,16 +221,12 @@ class Prober:
 
     def _basis(self, metric: Metric) -> FloatArray:
         """Return an orthonormal basis of what is fitted already, starts of runs among it."""
-        n_x = len(self.fit.structure.model.states)
-        m = self._nuisance[0].shape[2] - n_x
-        blocks = []
-        for r, J in enumerate(self._nuisance):
-            white = metric.whitened(J).reshape(-1, m + n_x)
-            row = np.zeros((white.shape[0], m + n_x * len(self.runs)))
-            row[:, :m] = white[:, :m]
-            row[:, m + n_x * r : m + n_x * (r + 1)] = white[:, m:]
-            blocks.append(row)
-        return orthonormal(np.concatenate(blocks), LEAST_BASIS, 0.0)
+        from scipy.linalg import block_diag
+
+        m = self.fit.structure.free.size
+        white = [metric.whitened(J).reshape(-1, J.shape[2]) for J in self._nuisance]
+        starts = block_diag(*(J[:, m:] for J in white))
+        return orthonormal(np.hstack([np.concatenate(white)[:, :m], starts]), LEAST_BASIS, 0.0)
 
 
 def placed_effects(

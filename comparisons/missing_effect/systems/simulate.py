@@ -21,7 +21,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import AT_INPUTS, AT_OUTPUTS, Placed, rms
 from comparisons.missing_effect.systems.pointers import NUMBERS
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import Run, Structure, laid
+from comparisons.missing_effect.systems.structure import LAGS, Run, Structure, laid
 from surge_core.errors import InputError, require
 from surge_core.types import FloatArray
 
@@ -130,22 +130,33 @@ def why_failed(structure: Structure, run: Run, theta: FloatArray, start: FloatAr
 
 
 def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
-    """Return the state at the start, with the states of effects in balance."""
-    n_x = len(structure.model.states)
-    out = [x0[:n_x]]
-    if structure.model.simulate is not None:
-        return out[0]
-    for placed in structure.effects:
-        if not placed.effect.own_state:
-            continue
-        at = placed.place.at
-        if placed.effect.kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY):
-            out.append(run.pieces[at, :1, 0])
-        elif placed.effect.kind == Kind.OUTPUT_LAG:
-            out.append(run.outputs[run.valid[:, at], at][:1])
-        else:
-            out.append(np.zeros(1))
-    return np.concatenate(out)
+    """Return the state at the start; effects are in balance, but for lags that x0 holds."""
+    out = x0[: len(structure.model.states)]
+    for placed in structure.own:
+        at, begun = placed.place.at, x0[out.size : out.size + 1]
+        if placed.effect.kind not in LAGS or not begun.size:
+            begun = np.zeros(1)
+            if placed.effect.kind in AT_INPUTS:
+                begun = run.pieces[at, :1, 0]
+            elif placed.effect.kind in AT_OUTPUTS:
+                begun = run.outputs[run.valid[:, at], at][:1]
+        out = np.append(out, begun)
+    return out
+
+
+def off_known(structure: Structure, run: Run, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far estimated starts are off what is known of them, and the weight of that.
+
+    A lag begins off its balance by as much as its channel swings over the record. In balance at the
+    first row, a lag of 100 ms that a record begins amid was wrong there by 25 times the noise.
+    """
+    known, sd = own_starts(structure, run, run.x0_mean), [*run.x0_sd]
+    whole, model = run.experiment.record or run.experiment, structure.model
+    for placed in (one for one in structure.own if one.effect.kind in LAGS):
+        names = model.input_names if placed.effect.kind in AT_INPUTS else model.output_names
+        values = whole.channels[names[placed.place.at]]
+        sd.append(np.nanstd(values - np.nanmin(values)) or placed.scales[1])
+    return (start - known)[structure.started], 1.0 / np.square(sd)
 
 
 @cfunc(types.void(NUMBERS, types.float64, NUMBERS, NUMBERS), cache=True)

@@ -22,6 +22,7 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 
 # One way between samples for all inputs, or one an input.
 Between: TypeAlias = str | tuple[str, ...]
+LAGS = (Kind.INPUT_LAG, Kind.OUTPUT_LAG)
 # A timing offset of an input beyond one sample is a delay, and has to be named.
 MOST_OFFSET, HALF_SAMPLE = 1.0, 0.5
 # Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
@@ -62,11 +63,23 @@ class Structure:
         return ways_of(self.between, len(self.model.inputs))
 
     @property
+    def own(self) -> tuple[Placed, ...]:
+        """Effects with a state of their own behind the model's; a black box keeps those."""
+        return tuple(e for e in self.effects if e.effect.own_state and not self.model.simulate)
+
+    @property
     def n_states(self) -> int:
-        """States of the model and of the effects; a black box keeps those to itself."""
-        if self.model.simulate is not None:
-            return len(self.model.states)
-        return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
+        """States of the model and of the effects."""
+        return len(self.model.states) + len(self.own)
+
+    @property
+    def started(self) -> IntArray:
+        """States whose start is estimated: all of the model, and those of lags.
+
+        Others of effects begin in balance: a play and a hysteresis are off by their width at most.
+        """
+        lags = [placed.effect.kind in LAGS for placed in self.own]
+        return np.flatnonzero([*(True for _ in self.model.states), *lags])
 
     @property
     def ints(self) -> IntArray:
@@ -78,7 +91,7 @@ class Structure:
             len(model.inputs),
             len(model.params),
             len(model.outputs),
-            self.n_states - len(model.states),
+            len(self.own),
             len(self.effects),
             BAND_FACTOR if "band" in self.ways else 1,
         ]
@@ -121,14 +134,6 @@ class Structure:
     def free(self) -> IntArray:
         """Which numbers of θ are fitted."""
         return np.flatnonzero([not held for *_, held in self._numbers])
-
-    @property
-    def start_bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the model's states at a start: only parameters of records have any."""
-        own = [(-np.inf, np.inf)] * self.model.own_states
-        own += [(p.low, p.high) for p in self.model.per_record.values()]
-        low, high = np.array(own).reshape(-1, 2).T
-        return low, high
 
     def steps(self, theta: FloatArray) -> FloatArray:
         """Return steps of θ for differences: a small share of its size, or of its range."""

@@ -28,7 +28,7 @@ from comparisons.missing_effect.systems.race import (
 )
 from comparisons.missing_effect.systems.score import Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.structure import Run, Structure
+from comparisons.missing_effect.systems.structure import LAGS, Run, Structure
 from surge_core.types import FloatArray
 
 BLOCKS = 60
@@ -264,10 +264,10 @@ class ModelSystem(Bench, System[Placed, Fit]):
     def _stands_for(self, one: Placed, other: ModelCandidate) -> bool:
         """Tell whether a candidate does as well as what was found, on either part of the rows.
 
-        Of a lag of the drive and one of the sensor the start of a run, which no one knows, decides:
-        the state of a sensor begins at its reading, that of an input at the input.
+        Around a black box lags begin in balance, of the input or the reading: that decides nothing.
         """
-        if {one.effect.kind, other.added[0].effect.kind} == {Kind.INPUT_LAG, Kind.OUTPUT_LAG}:
+        kinds = {one.effect.kind, other.added[0].effect.kind}
+        if self.fit.structure.model.simulate and kinds == {*LAGS}:
             return True
         moved = self._swapped(one, other)
         close = self._cost(moved.fit) < self._own_cost + LEAST_LOST

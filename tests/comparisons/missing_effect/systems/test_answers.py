@@ -96,13 +96,14 @@ def worst(structure: Structure, theta: np.ndarray, run: Run, begun: np.ndarray) 
         return path_of(structure, run, moved, at, scale).outputs
 
     off = {}
-    names = [f"θ{i}" for i in which] + [f"x{i}" for i in range(start.size)]
+    names = [f"θ{i}" for i in which] + [f"x{i}" for i in structure.started]
     for c, name in enumerate(names):
         theta_moved, start_moved = np.zeros(theta.size), np.zeros(start.size)
         if c < which.size:
             theta_moved[which[c]] = STEP * max(abs(theta[which[c]]), 1.0)
         else:
-            start_moved[c - which.size] = STEP * scale[c - which.size]
+            own = structure.started[c - which.size]
+            start_moved[own] = STEP * scale[own]
         above = outputs(theta + theta_moved, start + start_moved)
         below = outputs(theta - theta_moved, start - start_moved)
         wanted = (above - below) / (2.0 * (theta_moved.sum() + start_moved.sum()))
