@@ -95,9 +95,6 @@ def doubts_of(
     elif amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
-    if amplitude and placed.name == "softening_damping" and numbers[0].value < 0.0:
-        # A magneto-rheological damper got one of (-440 ± 130) kN/s.
-        out.append("c_s is negative, a gain but for the damping that the model has")
     worse = [run for run in checks if np.any(run.worse)]
     by = "it" if alone else "all that was added"
     if worse:
@@ -218,6 +215,9 @@ def doubts_beside(
         return ()
     before = found[: [one.key for one in found].index(placed.key)]
     out = []
+    if placed.name == "softening_damping" and numbers[0].value < 0.0:
+        # A magneto-rheological damper got one of (-440 ± 130) kN/s.
+        out.append("c_s is negative, a gain but for the damping that the model has")
     if any(one.unnamed for one in before):
         out.append("a term without a name was found before it, for which it may stand in")
     for one in (other for other in found if other.key != placed.key):
