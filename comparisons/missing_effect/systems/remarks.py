@@ -60,8 +60,8 @@ def start_words(least: Sequence[int], runs: Sequence[CheckRun]) -> list[str]:
     """Say of which check records the first rows do not fix the start."""
     return [
         f"The first {rows} rows of {run.name} do not fix its start: it is "
-        f"estimated from {run.settle} rows, which are not scored. Give what is known of it as x0= "
-        "of the model."
+        f"estimated from {run.settle} rows, which are not scored. What is known of the model's own "
+        "states may be given as x0=."
         for rows, run in zip(least, runs, strict=True)
         if run.settle > rows or np.any(run.loose > START_SHARE * run.after_rms)
     ]
