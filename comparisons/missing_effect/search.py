@@ -124,9 +124,12 @@ def _winner(
     pool = [c for c in pool if c is not best and c.rank > -np.inf]
     simple = _simple_form(best, [*pool, *standing])
     near = system.near(best, pool, policy.alias) if best.rank > -np.inf else []
-    aliases = [best, *(c for c in pool if (c in near or c is simple) and not c.outgrown)]
-    if simple is not None and simple not in aliases:
-        aliases.append(simple)
+    # A plain form without a name stands beside the name where rounding alone parts them.
+    beside = [c for c in standing if c.unnamed > best.unnamed and _is_plain(c, best)]
+    plain = [c for c in beside if c.rank > best.rank - RIVALLED]
+    others = [*pool, *(c for c in plain if c not in pool)]
+    alike = [*near, *plain, simple]
+    aliases = [best, *(c for c in others if c in alike and not c.outgrown)]
     if policy.plain_speaks:
         top = max(c.rank for c in aliases)
         # Names that rounding alone parts stand in the order of the catalogue.
@@ -157,16 +160,23 @@ def _simple_form(best: Candidate[A, F], pool: Sequence[Candidate[A, F]]) -> Cand
     """Return the plain form of the best where that wins nearly as much.
 
     A refinement that wins a few per cent more is no other effect: the plain form speaks, and the
-    refinement may be found in the next round. A plain form without a name speaks for a name where
-    rounding alone parts them: a leak in proportion to a level was a threshold that was never met.
+    refinement may be found in the next round. A plain form without a name speaks for a name that
+    wins no more, or by rounding alone for each further number: a leak in proportion to a level was
+    a threshold that was never met.
     """
     for c in pool:
-        alone = len(c.added) == len(best.added) == 1 and c is not best
-        least = best.rank - RIVALLED if c.unnamed > best.unnamed else SIMPLE_SHARE * best.rank
-        fair = c.rank > least and not c.outgrown
-        if alone and fair and c.added[0].is_plain_form_of(best.added[0]):
+        least = SIMPLE_SHARE * best.rank
+        if c.unnamed > best.unnamed:
+            least = best.rank - RIVALLED * (best.added[0].brings - c.added[0].brings)
+        if c.rank > least and not c.outgrown and _is_plain(c, best):
             return c
     return None
+
+
+def _is_plain(candidate: Candidate[A, F], best: Candidate[A, F]) -> bool:
+    """Tell whether a candidate is the plain form of the best."""
+    alone = len(candidate.added) == len(best.added) == 1
+    return alone and candidate.added[0].is_plain_form_of(best.added[0])
 
 
 def _corrects_the_same(

@@ -64,11 +64,16 @@ def _both(name: str, code: Term, places: str, equation: str) -> tuple[SystemEffe
     )
 
 
+# What a term in proportion may be taken for, where the model has none.
+BENT_LAWS = (
+    *("dead_zone", "quadratic_stiffness", "cubic_stiffness"),
+    *("quadratic_drag", "softening_damping", "asymmetric_damping"),
+)
 # All terms up to degree three of one and two signals, and readings with a bend.
 OPEN_TERMS: tuple[SystemEffect, ...] = (
     *_both("product", Term.PRODUCT, "on_products", "+ c {s}·{o}"),
     *_both("square_product", Term.SQUARE_PRODUCT, "on_square_products", "+ c {s}²·{o}"),
-    _open("linear", Term.LINEAR, "on_signals", "+ c {s}", simple_form_of=("dead_zone",)),
+    _open("linear", Term.LINEAR, "on_signals", "+ c {s}", simple_form_of=BENT_LAWS),
     *_both("square", Term.SQUARE, "on_signals", "+ c {s}²"),
     *_both("cube", Term.CUBE, "on_signals", "+ c {s}³"),
     _open("reading_square", Map.SQUARE, "at_outputs", "y + c y²", kind=Kind.OUTPUT_MAP),
