@@ -111,9 +111,10 @@ def open_words(
         )
     if badly and not gone:
         out.append(
-            f"{badly} goes wrong more than twice as far as the rows fitted, or cannot be "
-            "simulated, and nothing fitted explains it: what is missing acts there alone, or a "
-            "parameter has another value there. Give training records in which that is so."
+            f"{badly} goes wrong more than twice as far as the rows fitted, or by more than it "
+            "moves, or cannot be simulated, and nothing fitted explains it: what is missing acts "
+            "there alone, or a parameter has another value there. Give training records in which "
+            "that is so."
         )
     return tuple(out)
 
