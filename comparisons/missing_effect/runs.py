@@ -92,6 +92,12 @@ class CheckRun:
         return np.asarray(self.after_rms > WORSE * self.before_rms)
 
     @property
+    def spoilt(self) -> bool:
+        """Whether what was added made the errors of all outputs together larger."""
+        ratios = self.after_rms / np.fmax(self.before_rms, np.finfo(float).tiny)
+        return bool(np.exp(np.mean(np.log(ratios))) > WORSE)
+
+    @property
     def refitted_rms(self) -> FloatArray:
         """The same by a fit to this very record; what is above it no other record knows."""
         if self.refitted is None:

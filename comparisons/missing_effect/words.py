@@ -165,7 +165,7 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     reasons: dict[str, list[str]] = {}
     for name, why in d.unavailable.items():
         reasons.setdefault(why, []).append(plain_name(name))
-    out += [f"These records cannot show {_listed(names)}: {why}." for why, names in reasons.items()]
+    out += [f"The rows fitted cannot show {_listed(n)}: {why}." for why, n in reasons.items()]
     return tuple(out)
 
 

@@ -87,23 +87,26 @@ class Linearised:
 
         Of shape (n, n_y, m + k), and not a number where the run has no reading.
         """
-        steps = self.structure.steps(self.theta)[which]
+        up, down = (steps[which] for steps in self.structure.steps(self.theta))
         if self.transitions is None:
-            return self._read(self._differences(which, steps))
+            return self._read(self._differences(which, up))
         (rows, n_X), m = self.path.states.shape, which.size
         starts = np.eye(n_X)[:, self.structure.started]
         forcing = np.zeros((rows, n_X, m))
         direct = np.zeros((*self.run.outputs.shape, m + starts.shape[1]))
-        for c, (number, step) in enumerate(zip(which, steps, strict=True)):
-            sides = []
-            for side in (step, -step):
-                theta = self.theta.copy()
-                theta[number] += side
-                system = self.run.system(self.structure, theta)
-                slopes, seen = along(self.path.states, NONE, system, FINE)
-                sides.append((slopes, self.structure.recorded(seen, theta)))
+
+        def at(number: int, step: float) -> tuple[FloatArray, FloatArray]:
+            theta = self.theta.copy()
+            theta[number] += step
+            system = self.run.system(self.structure, theta)
+            slopes, seen = along(self.path.states, NONE, system, FINE)
+            return slopes, self.structure.recorded(seen, theta)
+
+        here = at(0, 0.0)
+        for c, number in enumerate(which):
+            other = at(number, -down[c]) if down[c] else here
             forcing[:, :, c], direct[:, :, c] = (
-                (up - down) / (2.0 * step) for up, down in zip(*sides, strict=True)
+                (b - a) / (up[c] + down[c]) for a, b in zip(other, at(number, up[c]), strict=True)
             )
         return self._carried(forcing, np.hstack([np.zeros((n_X, m)), starts]), direct)
 
@@ -134,6 +137,14 @@ class Linearised:
         if black_box:
             return self._read(direct)
         return self._carried(forcing, np.zeros(forcing.shape[1:]), direct)
+
+    def growth(self) -> float:
+        """Return by how many powers of e changes of the state grow along the run, at most."""
+        # A black box does not say how its states change.
+        if self.transitions is None:
+            return 0.0
+        units = self.scale[:, None] / self.scale
+        return float(_growth(self.transitions[0] / units, len(self.path.states) // 2))
 
     def _carried(self, forcing: FloatArray, start: FloatArray, direct: FloatArray) -> FloatArray:
         """Return the outputs' answers to what is added to dX/dt, to the start, and to them."""
@@ -179,6 +190,20 @@ def _exponentials(matrices: FloatArray) -> FloatArray:
         out[again] = out[again] @ out[again]
     out[gone] = np.nan
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def _growth(whole: FloatArray, steps: int) -> float:
+    """Return the log of the largest size of the products of matrices, step by step."""
+    change, size, most = np.eye(whole.shape[1]), 0.0, 0.0
+    for k in range(steps):
+        change = whole[k % len(whole)] @ change
+        norm = np.sqrt(np.sum(change**2))
+        if not 0.0 < norm < np.inf:
+            break
+        change, size = change / norm, size + np.log(norm)
+        most = max(most, size)
+    return most
 
 
 @njit(cache=True, error_model="numpy")

@@ -69,6 +69,7 @@ OWN = ("--model", "model.py", "--fit", "train.csv")
         (("--model", "no.py", "--fit", "train.csv"), "no.py: expected a file that exists"),
         (("--model", "model.py", "--fit", "no.csv"), "no.csv: expected a file that exists"),
         ((*OWN, "--check", "short.csv"), "short.csv: rows: expected at least 40"),
+        (("--model", "bad.py", *OWN[2:]), "model: output: expected arithmetic"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(
@@ -83,6 +84,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(
     record = made[1].read_text("utf-8")
     content = {
         "model.py": MODEL,
+        "bad.py": MODEL.replace("return x.q\n", "return eval('x.q')\n"),
         "train.csv": record,
         "short.csv": "\n".join(record.splitlines()[:20]),
     }
@@ -95,14 +97,3 @@ def test_what_cannot_be_is_refused_in_one_sentence(
     assert words in said.err
     assert said.err.count("\n") == 1
     assert {path.name: path.read_text("utf-8") for path in tmp_path.iterdir()} == content
-
-
-def test_a_function_that_cannot_be_compiled_is_the_users_mistake(
-    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    model = tmp_path / "model.py"
-    model.write_text(MODEL.replace("return x.q\n", "return eval('x.q')\n"), "utf-8")
-    assert run("--model", model, "--fit", made[1]) == 2
-    said = capsys.readouterr()
-    assert said.err.startswith("sindy-surge: model: output: expected arithmetic")
-    assert said.err.count("\n") == 1

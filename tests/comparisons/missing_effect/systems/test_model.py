@@ -13,7 +13,6 @@ import system_models as make
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from comparisons.missing_effect.systems.compiled import compiled
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.records import Records, runs_of
@@ -80,13 +79,6 @@ def test_a_bad_model_is_refused_in_one_sentence(case: str) -> None:
     change, told = BAD_MODELS[case]
     with pytest.raises(InputError, match=told) as caught:
         Model(**{**GOOD, **change})
-    one_sentence(caught.value)
-
-
-def test_what_cannot_be_compiled_is_refused_in_one_sentence() -> None:
-    model = Model(**{**GOOD, "rhs": lambda t, x, u, p: (x.v, [0.0] if t > 1e9 else u.F)})
-    with pytest.raises(InputError, match="model: rhs: expected arithmetic") as caught:
-        compiled(model)
     one_sentence(caught.value)
 
 
