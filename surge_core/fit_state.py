@@ -143,8 +143,9 @@ class FitState(StrEnum):
     )
     UNDECIDED = (
         "undecided",
-        "the rivals are together likelier than the equations stated: the record does not tell "
-        "which terms are true; use a longer record that visits more states, or a smaller library",
+        "the rivals are together likelier than the equations stated, or a term is smaller than its "
+        "error: the record does not tell which terms are true; use a longer record that visits "
+        "more states, or a smaller library",
     )
     NO_EQUATIONS = (
         "no_equations",

@@ -25,7 +25,7 @@ from comparisons.show.discover_output import (
     loop_parts,
 )
 from sindy_surge import SparseDynamics, SurgeLoop, discover_loop
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.progress import shown_steps
 from surge_core.types import FloatArray
 
@@ -42,15 +42,12 @@ def run(given: argparse.Namespace) -> Iterable[str]:
     if not given.states:
         with open_csv(given.files[0], FileLayout()) as stored:
             names = ", ".join(name for name in stored.names if name != TIME)
-        raise InputError(
-            "--states",
-            expected="the columns that are states, such as --states x,v",
-            found="none",
-            remedy=f"those of {given.files[0].name} are {names}",
-        )
+        remedy = f"those of {given.files[0].name} are {names}"
+        expected = "columns, such as --states x,v"
+        raise InputError("--states", expected=expected, found="none", remedy=remedy)
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
-    if TIME in (*states, *inputs):
-        raise InputError("--states", expected="measured columns", found=f"the clock, {TIME}")
+    clock = TIME in (*states, *inputs)
+    require(not clock, "--states", "measured columns", f"the clock, {TIME}")
     hidden = _names("--hidden", given.hidden)
     names = ", ".join(path.name for path in given.files)
     with shown_steps(3) as begin:
@@ -76,8 +73,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
 
 
 def _loop(given: argparse.Namespace) -> Iterable[str]:
-    if len(given.files) != 1:
-        raise InputError("--loop", expected="one series", found=f"{len(given.files)} files")
+    require(len(given.files) == 1, "--loop", "one series", f"{len(given.files)} files")
     path = given.files[0]
     with shown_steps(3) as begin:
         begin("reading")
@@ -117,10 +113,8 @@ def discover_series_loop(series: CoefficientSeries, plenum: FloatArray | None = 
 
 def _names(option: str, text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",")) if text else ()
-    if len(set(names)) != len(names) or "" in names:
-        raise InputError(
-            option, expected="different names, with commas between", found=text or "nothing"
-        )
+    good = len(set(names)) == len(names) and "" not in names
+    require(good, option, "different names, with commas between", text or "nothing")
     return names
 
 
@@ -128,13 +122,10 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
     """Return time and columns of a CSV file, (n_rows, 1 + n_columns)."""
     wanted = (TIME, *columns)
     with open_csv(path, FileLayout()) as stored:
-        if missing := [name for name in wanted if name not in stored.names]:
-            raise InputError(
-                str(path),
-                expected="the columns " + ", ".join(wanted),
-                found="none called " + ", ".join(missing),
-                remedy="the first line holds the names; here these are " + ", ".join(stored.names),
-            )
+        missing = [name for name in wanted if name not in stored.names]
+        expected, found = "the columns " + ", ".join(wanted), "none called " + ", ".join(missing)
+        remedy = "the first line holds the names; here these are " + ", ".join(stored.names)
+        require(not missing, str(path), expected, found, remedy)
         try:
             blocks = [np.column_stack(block) for block in stored.blocks(wanted)]
         except InputError as e:
@@ -143,16 +134,12 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             raise InputError(e.where, expected=e.expected, found=e.found, remedy=remedy) from None
         table = np.concatenate(blocks).astype(np.float64)
     for name, values in zip(wanted, table.T, strict=True):
-        if not np.isfinite(values).all():
-            raise InputError(
-                f"{path}: column {name}",
-                expected="a finite number in every row",
-                found=f"{values[~np.isfinite(values)][0]:g}",
-                remedy=CUT,
-            )
+        for odd in values[~np.isfinite(values)].tolist():
+            where, expected = f"{path}: column {name}", "a finite number in every row"
+            raise InputError(where, expected=expected, found=f"{odd:g}", remedy=CUT)
     steps, sorted_steps = np.diff(table[:, 0]), np.diff(np.sort(table[:, 0]))
-    odd = np.flatnonzero(steps <= 0.0)
-    if odd.size:
+    back = np.flatnonzero(steps <= 0.0)
+    if back.size:
         remedy = CUT
         if np.any(steps < 0.0) and np.ptp(sorted_steps) < np.median(sorted_steps):
             remedy = "sort the rows by time"
@@ -163,7 +150,7 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
         raise InputError(
             f"{path}: column time_s",
             expected="times that rise",
-            found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
+            found=f"{table[back[0], 0]:g} s followed by {table[back[0] + 1, 0]:g} s",
             remedy=remedy,
         )
     return table

@@ -11,6 +11,7 @@ import numpy as np
 
 from comparisons.page.blocks import Block, Part, Picture, Words
 from comparisons.page.style import FAINT, legend_above, panel, strips
+from sindy_surge.discover.columns import idle_words
 from sindy_surge.discover.dynamics import SparseDynamics
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.loop_balance import Balance
@@ -36,6 +37,7 @@ def discover_document(model: SparseDynamics) -> dict[str, Any]:
             for rival in model.rivals_
             if stated
         ],
+        "idle": list(model.idle_),
         "late": _late(model),
         "beyond": list(model.beyond_),
         "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False))
@@ -60,6 +62,7 @@ def discover_lines(model: SparseDynamics) -> tuple[str, ...]:
     """Return state, equations and rivals, line by line; of a failed fit only what would pay."""
     head = f"{model.state_}: {model.state_.advice}"
     beyond = [f"beyond the library: {', '.join(model.beyond_)} would pay"] if model.beyond_ else []
+    beyond += idle_words(model.idle_)
     if not _stated(model):
         return (head, *beyond)
     named = zip(model.state_names_, model.equation_terms_, strict=True)

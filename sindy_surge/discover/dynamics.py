@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sindy_surge.discover.collocation import Collocation, Fit
-from sindy_surge.discover.columns import apart, as_fitted, check_names, moving
+from sindy_surge.discover.columns import apart, as_fitted, check_names, idle, idle_words, moving
 from sindy_surge.discover.ending import ASKED, CLEAN, ended
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.late import Late, read_late
@@ -29,7 +29,7 @@ from sindy_surge.discover.trajectories import (
     times_of,
 )
 from sindy_surge.search import Tried
-from surge_core.errors import InputError, one_of
+from surge_core.errors import one_of, require
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
@@ -90,6 +90,9 @@ class SparseDynamics(BaseEstimator):
         Which readings come late, by how much and how, where that is found.
     held_inputs_ : tuple of str
         Inputs that are held from each row to the next.
+    idle_ : tuple of str
+        Measured states that are not distinguished from a constant: each has the equation d/dt = 0,
+        and terms that hold it are left out of the library beside those that do not.
     state_ : FitState
         How it ended, with advice.
     """
@@ -139,23 +142,15 @@ class SparseDynamics(BaseEstimator):
         from pysindy import STLSQ
 
         one_of("search", self.search, ("full", "optimizer"))
-        if isinstance(self.hidden, str):
-            raise InputError(
-                "hidden",
-                expected="a list of names",
-                found=f"the text {self.hidden!r}",
-                remedy=f"write [{self.hidden!r}]",
-            )
-        if isinstance(self.differentiation, str | type):
-            raise InputError(
-                "differentiation",
-                expected="a differentiation of pysindy, with its options",
-                found=f"{self.differentiation!r}",
-                remedy="pass SmoothedFiniteDifference(), for one",
-            )
+        for name, wrong, expected in (
+            ("hidden", str, "a list of names, such as ['q']"),
+            ("differentiation", str | type, "one of pysindy, such as SmoothedFiniteDifference()"),
+        ):
+            value = getattr(self, name)
+            require(not isinstance(value, wrong), name, expected, f"{value!r}")
         data = Trajectories.of(x, t, u, feature_names)
         problem, rates = self._problem(data, feature_names)
-        given = [self.state_names_.index(name) for name in self._known]
+        given = [self.state_names_.index(name) for name in (*self._known, *self.idle_)]
         optimizer = self.optimizer if self.optimizer is not None else STLSQ()
         full = self.search == "full"
         levels, best = search_by_levels(problem, rates, given, optimizer, full=full)
@@ -228,6 +223,8 @@ class SparseDynamics(BaseEstimator):
         left = lhs or [f"({name})'" for name in self.state_names_]
         for one, other in zip(left, right, strict=True):
             sys.stdout.write(f"{one} = {other}\n")
+        for words in idle_words(self.idle_):
+            sys.stdout.write(f"{words}\n")
         if self.late_ is not None:
             sys.stdout.write(f"{self.late_.words(self.state_names_)}\n")
         if self.state_ is not FitState.OK:
@@ -256,8 +253,8 @@ class SparseDynamics(BaseEstimator):
         times, start = output_times(t), np.ravel(x0)
         features, xi = self._features, self.coef_.T
         as_fitted("x0", start.size, self.state_names_)
-        if start.dtype.kind not in "fiu" or not np.isfinite(start).all():
-            raise InputError("x0", expected="finite numbers", found=f"{x0}")
+        good = start.dtype.kind in "fiu" and bool(np.isfinite(start).all())
+        require(good, "x0", "finite numbers", f"{x0}")
         inputs, held = self._inputs(times, u), bool(self.held_inputs_)
 
         def rate(time: float, state: FloatArray) -> FloatArray:
@@ -337,7 +334,7 @@ class SparseDynamics(BaseEstimator):
             self.search_.likelihood.parts,
         )
         fit = problem.fit(np.zeros(0, dtype=np.intp), _no_terms(problem, problem.data.smooth()))
-        measured = ~self._hidden
+        measured = ~self._hidden & ~np.isin(self.state_names_, self.idle_)
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
         return float(np.mean(1.0 - rest / np.sum((y - y.mean(axis=0)) ** 2, axis=0)))
@@ -358,6 +355,11 @@ class SparseDynamics(BaseEstimator):
         self.state_names_ = (*states, *self.hidden)
         apart(np.column_stack((data.y, data.u)), named[: data.y.shape[1] + data.u.shape[1]])
         known = self._checked_known()
+        # Not one that a given equation moves or holds.
+        free = [name not in f"{known}" for name in states]
+        still = idle(data.y, data.u, data.runs.starts) & free
+        still &= not still[free].all()
+        self.idle_ = tuple(np.array(states)[still].tolist())
         noise = data.noise
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
@@ -365,7 +367,7 @@ class SparseDynamics(BaseEstimator):
         noise = np.append(noise, _HIDDEN_FREEDOM * spread[hidden])
         library = self.library if self.library is not None else PolynomialLibrary(degree=3)
         every = (*self.state_names_, *self.input_names_)
-        features = Features.of(library, every, data.y, data.u)
+        features = Features.of(library, every, data.y, data.u, np.flatnonzero(still))
         given = np.zeros((len(features.names), data.y.shape[1]))
         for state, terms in known.items():
             for name, value in terms.items():
@@ -381,43 +383,21 @@ class SparseDynamics(BaseEstimator):
             finite = all(np.isfinite(list(given.values())).all() for given in known.values())
         except (TypeError, ValueError):
             finite = False
-        if not finite:
-            raise InputError(
-                "known",
-                expected="finite coefficients by state and term",
-                found=f"{self.known!r}",
-                remedy="write it as {'x': {'y': 1.0}}",
-            )
+        coefficients = "finite coefficients by state and term, as {'x': {'y': 1.0}}"
+        require(finite, "known", coefficients, f"{self.known!r}")
         for state in known:
-            if state not in self.state_names_:
-                raise InputError(
-                    "known", expected="states of x or `hidden`", found=state, remedy="name one"
-                )
-        if len(known) == len(self.state_names_):
-            raise InputError(
-                "known",
-                expected="a state whose equation is to be found",
-                found="the equations of all",
-                remedy="leave one out",
-            )
+            require(state in self.state_names_, "known", "states of x or `hidden`", state)
+        some = len(known) < len(self.state_names_)
+        require(some, "known", "a state whose equation is to be found", "the equations of all")
         plain = {"1", *self.state_names_, *self.input_names_}
         for name in self.hidden:
             ties = self._ties(name, known)
-            if not ties:
-                raise InputError(
-                    "hidden",
-                    expected=f"a known equation of a measured state with the term {name}",
-                    found="none",
-                    remedy="give the equation that ties the hidden state to what is measured",
-                )
+            with_it = f"a known equation of a measured state with the term {name}"
+            require(bool(ties), "hidden", with_it, "none")
+            expected = f"a sum of states, inputs and 1, with a share of {name}, where it is known"
             for terms in ties.values():
-                if not set(terms) <= plain or terms[name] == 0.0:
-                    raise InputError(
-                        "known",
-                        expected=f"a sum of states, inputs and 1, with a share of {name}, in the "
-                        f"equation that gives {name}",
-                        found=", ".join(f"{n}={value:g}" for n, value in terms.items()),
-                    )
+                found = ", ".join(f"{n}={value:g}" for n, value in terms.items())
+                require(set(terms) <= plain and terms[name] != 0.0, "known", expected, found)
         return known
 
     def _ties(self, name: str, known: Mapping[str, Any]) -> dict[str, Any]:

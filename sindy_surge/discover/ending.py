@@ -55,6 +55,7 @@ def ended(
     # The largest of so many normal numbers; one run may be noisier than another.
     most = norm.isf(_BY_CHANCE / (2.0 * left.size))
     runs = [left[rows] for rows in problem.data.runs.slices()]
+    errors = np.sqrt(np.diag(best.fit.covariance))
     far = [abs(own) > most * np.maximum(np.std(own, axis=0), least) for own in runs]
     found = {
         FitState.UNEXPLAINED: np.any(coloured & large),
@@ -66,8 +67,10 @@ def ended(
         FitState.COLOURED_REST: np.any(coloured),
         FitState.ODD_ROWS: any(map(np.any, far)),
         FitState.READ_LATE: late,
-        # The weight of a model is e to its score.
-        FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in rivals) > 1.0,
+        # The weight of a model is e to its score. A term within its error is worth no price: where
+        # it stands, the model without it did not converge.
+        FitState.UNDECIDED: sum(np.exp(-rival.behind) for rival in rivals) > 1.0
+        or np.any(np.abs(best.fit.xi.T.ravel()[list(best.support)]) < errors),
     }
     state = next((state for state, is_so in found.items() if is_so), FitState.OK)
     beyond: tuple[str, ...] = ()

@@ -64,7 +64,9 @@ def read_late(
     Where there are inputs, the readings of all states may come later than these.
     """
     problem = level.likelihood
-    read = tuple(np.flatnonzero(~problem.hidden).tolist())
+    # Of a state that does not move no reading is late.
+    moves = np.any(best.fit.xi + problem.known, axis=0)
+    read = tuple(np.flatnonzero(~problem.hidden & moves).tolist())
     inputs = problem.data.u.shape[1]
     # Of two readings without inputs, that one is early is that the other is late.
     one_of_two = len(read) == 2 and not inputs

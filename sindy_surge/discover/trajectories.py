@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,7 @@ from sindy_surge.candidate_terms import fitted_library, independent_columns
 from sindy_surge.library import monomials
 from sindy_surge.noise import difference_noise, smoothed
 from sindy_surge.segments import Segments
-from surge_core.errors import InputError
+from surge_core.errors import InputError, require
 from surge_core.types import BoolArray, FloatArray, IndexArray, IntArray
 
 # Central differences: the cube root of the rounding error, as a share of each state's size.
@@ -33,23 +33,40 @@ class Features:
     names: tuple[str, ...]  # Names of its terms, as pysindy writes them
     # (n_columns,): Size of each state and input, for the steps of numerical derivatives
     size: FloatArray
+    level: FloatArray  # (n_columns,): What an idle column is taken as; NaN for one that moves
+    own: IndexArray  # The terms of the library that are used
 
     @classmethod
-    def of(cls, library: Any, names: Sequence[str], x: FloatArray, u: FloatArray) -> Features:
-        """Fit a copy of a library to states and inputs of these names, or refuse its bad terms."""
+    def of(
+        cls, library: Any, names: Sequence[str], x: FloatArray, u: FloatArray, idle: IndexArray
+    ) -> Features:
+        """Fit a copy of a library to states and inputs of these names, or refuse its bad terms.
+
+        Of terms with idle columns stay those that terms without them do not reproduce.
+        """
         z = np.column_stack((x, u))
         size = np.maximum(np.sqrt(np.mean(z**2, axis=0)), 1e-300)
         with np.errstate(all="ignore"):
-            found = cls(*fitted_library(library, z, names), size)
+            fitted, terms = fitted_library(library, z, names)
+            n, level = len(terms), np.full(size.size, np.nan)
+            found = cls(fitted, terms, size, level, np.arange(n))
             bad = np.flatnonzero(~np.isfinite(found.values(x, u)).all(axis=0))
-        if bad.size:
-            raise InputError(
-                "library",
-                expected="terms that are finite on the whole record",
-                found=f"{found.names[bad[0]]}, which is not",
-                remedy="leave the term out, or write it so that noise cannot leave its domain",
-            )
-        return found
+        for i in bad.tolist():
+            finite, remedy = "terms that are finite on the whole record", "leave the term out"
+            lost = f"{terms[i]}, which is not"
+            raise InputError("library", expected=finite, found=lost, remedy=remedy)
+        if not idle.size:
+            return found
+        holds = np.any(found.derivatives(x, u, idle) != 0.0, axis=(0, 1))
+        level[idle] = z[:, idle].mean(axis=0)
+        order = np.argsort(holds, kind="stable")
+        kept = order[independent_columns(found.values(x, u)[:, order])]
+        own = np.flatnonzero(~holds | np.isin(np.arange(n), kept))
+        return cls(fitted, tuple(terms[i] for i in own), size, level, own)
+
+    def _columns(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        z = np.column_stack((x, u))
+        return np.where(np.isnan(self.level), z, self.level)
 
     @cached_property
     def _powers(self) -> IntArray | None:
@@ -58,18 +75,18 @@ class Features:
 
         # Not of a subclass, whose terms may be others.
         plain = type(self.library) is PolynomialLibrary
-        return np.asarray(self.library.powers_) if plain else None
+        return np.asarray(self.library.powers_)[self.own] if plain else None
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the terms (n_rows, n_terms) at states and inputs (n_rows, …)."""
-        z = np.column_stack((x, u))
+        z = self._columns(x, u)
         if self._powers is not None:
             return monomials(z, self._powers)
-        return np.asarray(self.library.transform(z), dtype=np.float64)
+        return np.asarray(self.library.transform(z), dtype=np.float64)[:, self.own]
 
     def derivatives(self, x: FloatArray, u: FloatArray, columns: IndexArray) -> FloatArray:
         """Return ∂s_i/∂z_j by some of all columns z, of shape (n_columns, n_rows, n_terms)."""
-        z = np.column_stack((x, u))
+        z = self._columns(x, u)
         found = []
         for j in columns.tolist():
             if self._powers is not None:
@@ -80,19 +97,14 @@ class Features:
             step = np.zeros(z.shape[1])
             step[j] = _STEP * self.size[j]
             ahead, behind = (self.library.transform(z + s * step) for s in (1.0, -1.0))
-            found.append(np.asarray(ahead - behind) / (2.0 * step[j]))
-        return np.stack(found)
+            found.append((np.asarray(ahead - behind) / (2.0 * step[j]))[:, self.own])
+        return np.stack(found) * np.isnan(self.level[columns])[:, None, None]
 
     def index(self, name: str) -> int:
         """Return the place of a term, or refuse one that the library has not."""
         plain = re.sub(r"\s*\*\s*", " ", str(name).strip())
-        if plain not in self.names:
-            raise InputError(
-                "known",
-                expected="terms of the library: " + ", ".join(self.names),
-                found=str(name),
-                remedy="write it as the library does",
-            )
+        expected = "terms of the library: " + ", ".join(self.names)
+        require(plain in self.names, "known", expected, str(name))
         return self.names.index(plain)
 
 
@@ -119,7 +131,8 @@ class WiderFeatures(Features):
     def of_features(cls, features: Features, x: FloatArray, u: FloatArray) -> WiderFeatures:
         """Return the terms of a library, which come first, and the others on a record."""
         n = len(features.names)
-        every = cls(features.library, features.names, features.size, np.arange(0))
+        given = {each.name: getattr(features, each.name) for each in fields(features)}
+        every = cls(**given, kept=np.arange(0))
         values = every._with_others(x, u)
         first = n + len(_LAWS) * every.size.size
         terms, kept = np.arange(n), []
@@ -141,7 +154,7 @@ class WiderFeatures(Features):
         return tuple(every[i] for i in self.kept[len(self.names) :])
 
     def _with_others(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        own, z = super().values(x, u), np.column_stack((x, u))
+        own, z = super().values(x, u), self._columns(x, u)
         laws = [law(z) for law in _LAWS.values()]
         factors = np.column_stack((np.ones(len(x)), z))
         products = (own[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
@@ -178,6 +191,7 @@ _SPIKE = 20.0
 # Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
 # five standard deviations.
 LEAST_NOISE = 3.5e-4
+_CUT = "cut the record there and pass the parts as trajectories"
 
 
 @dataclass(frozen=True)
@@ -210,24 +224,16 @@ class Trajectories:
             times.append(times_of(each, len(states)))
             part = _parts(times[-1])
             parts.append(part + (parts[-1][-1] + 1 if parts else 0))
-            if (fewest := np.bincount(part).min()) < _FEWEST_ROWS:
-                raise InputError(
-                    f"x of trajectory {number}",
-                    expected=f"at least {_FEWEST_ROWS} rows without a gap",
-                    found=str(fewest),
-                    remedy="leave these out"
-                    if max(map(len, xs)) >= _FEWEST_ROWS
-                    else "take longer trajectories: each has to show its noise",
-                )
+            where, fewest = f"x of trajectory {number}", int(np.bincount(part).min())
+            enough, remedy = f"at least {_FEWEST_ROWS} rows without a gap", "leave these out"
+            if max(map(len, xs)) < _FEWEST_ROWS:
+                remedy = "take longer trajectories: each has to show its noise"
+            require(fewest >= _FEWEST_ROWS, where, enough, str(fewest), remedy)
             # The same noise twice is no more evidence, but would count as such.
-            if (same := first.setdefault(states.tobytes(), number)) != number:
-                raise InputError(
-                    f"x of trajectory {number}",
-                    expected="readings of its own",
-                    found=f"those of trajectory {same} again",
-                    remedy="give each record once",
-                )
-            _no_spikes(f"x of trajectory {number}", states, names)
+            same = first.setdefault(states.tobytes(), number)
+            again = f"those of trajectory {same} again"
+            require(same == number, where, "readings of its own", again, "give each record once")
+            _no_spikes(where, states, names)
         inputs = np.concatenate(us)
         runs = Segments.from_labels(np.concatenate(parts), len(inputs))
         smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
@@ -346,13 +352,8 @@ def listed(name: str, values: Any) -> list[FloatArray]:
     from sklearn.utils import check_array
 
     several = _several(values)
-    if any(np.ma.is_masked(each) for each in (values if several else [values])):
-        raise InputError(
-            name,
-            expected="numbers without a mask",
-            found="masked ones",
-            remedy="cut the record there and pass the parts as trajectories",
-        )
+    masked = any(np.ma.is_masked(each) for each in (values if several else [values]))
+    require(not masked, name, "numbers without a mask", "masked ones", _CUT)
     try:
         arrays = [
             check_array(each, dtype=np.float64, ensure_2d=False, input_name=name)
@@ -363,9 +364,7 @@ def listed(name: str, values: Any) -> list[FloatArray]:
             name,
             expected="finite numbers of shape (n_rows, n_columns), or a list of such arrays",
             found=str(error).partition("\n")[0],
-            remedy="cut the record at a gap and pass the parts as trajectories"
-            if "contains" in str(error)
-            else "pass numbers, a row for each time",
+            remedy=_CUT if "contains" in str(error) else "pass numbers, a row for each time",
         ) from error
     return [np.reshape(each, (len(each), -1)) for each in arrays]
 
@@ -398,31 +397,22 @@ def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
             name,
             expected="readings that follow one another",
             found=f"{found:g} in row {row} of {state}, between {before:g} and {after:g}",
-            remedy="cut the record there and pass the parts as trajectories; sample faster if it "
-            "is real",
+            remedy=f"{_CUT}; sample faster if it is real",
         )
 
 
 def times_of(t: Any, rows: int) -> FloatArray:
     """Return the time of each row from times or a step, or refuse them."""
-    if np.asarray(t).dtype.kind not in "fiu":
-        raise InputError(
-            "t",
-            expected="times in seconds, or the sample period",
-            found=f"values of type {np.asarray(t).dtype}",
-            remedy="pass (t - t[0]) / np.timedelta64(1, 's') for dates",
-        )
+    kind, remedy = np.asarray(t).dtype, "pass (t - t[0]) / np.timedelta64(1, 's') for dates"
+    found = f"values of type {kind}"
+    require(kind.kind in "fiu", "t", "times in seconds, or the sample period", found, remedy)
     times = np.asarray(t, dtype=np.float64)
     if times.ndim == 0:
         times = np.asarray(np.arange(rows) * float(times), dtype=np.float64)
     _same("t", times.size, rows, "rows")
-    if not (np.isfinite(times).all() and np.all(np.diff(times) > 0.0)):
-        raise InputError(
-            "t",
-            expected="times that rise, or a positive step",
-            found="a repeat, a step back or NaN",
-            remedy="pass the sample period, or the time of each row",
-        )
+    rise = bool(np.isfinite(times).all() and np.all(np.diff(times) > 0.0))
+    found = "a repeat, a step back or NaN"
+    require(rise, "t", "times that rise, or a positive step", found)
     return times.ravel()
 
 
@@ -438,12 +428,10 @@ def _parts(times: FloatArray) -> IntArray:
 def output_times(t: Any) -> FloatArray:
     """Return the times at which a run is wanted, or refuse them."""
     times = np.asarray(t, dtype=np.float64)
-    if times.ndim != 1 or not times.size:
-        expected = "an array of the times at which the states are returned"
-        raise InputError("t", expected=expected, found=f"one of shape {times.shape}")
+    expected = "an array of the times at which the states are returned"
+    require(times.ndim == 1 and times.size > 0, "t", expected, f"one of shape {times.shape}")
     return times
 
 
 def _same(name: str, found: int, wanted: int, of_what: str) -> None:
-    if found != wanted:
-        raise InputError(name, expected=f"{wanted} {of_what}", found=str(found))
+    require(found == wanted, name, f"{wanted} {of_what}", str(found))

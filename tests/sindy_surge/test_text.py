@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,16 +20,10 @@ QUADRATIC = EquationParts(
 PHI = np.linspace(-0.05, 0.5, 23)
 
 
-def with_terms(terms: tuple[str, ...], **other: Any) -> EquationParts:
-    n = len(terms)
-    coef = tuple(0.5 + 0.25 * i for i in range(n))
-    return EquationParts(terms, coef, (0.01,) * n, 0.018, 0.0002, **other)
-
-
 def test_pysindy_strings_are_those_of_the_rate() -> None:
     (text,) = pysindy_equations(QUADRATIC)
     assert text == "-55.556 psi_p + 19.444 1 + 66.667 phi + -105.556 phi^2"
-    late = with_terms(("phi^2",), dead_time_s=0.002)
+    late = EquationParts(("phi^2",), (0.5,), (0.01,), 0.018, 0.0002, dead_time_s=0.002)
     assert "phi(t-0.002)^2" in pysindy_equations(late)[0]
     static = EquationParts(("1",), (0.3,), (math.nan,), math.nan, math.nan)
     with pytest.raises(InputError, match="static"):

@@ -23,7 +23,7 @@ PERIOD_S = 0.05
 
 @pytest.fixture
 def files(tmp_path):
-    """Two swings of a damped oscillator, x'' = -x - 0.2 x'."""
+    """Two swings of a damped oscillator, x'' = -x - 0.2 x', beside a constant temperature."""
     rng = np.random.default_rng(8)
     times = np.arange(600) * PERIOD_S
     rate = -0.1 + 1j * np.sqrt(1 - 0.01)
@@ -32,6 +32,7 @@ def files(tmp_path):
         x, v = (start * np.exp(rate * times)).real, (start * rate * np.exp(rate * times)).real
         table = pd.DataFrame({"time_s": times, "x": x, "v": v})
         table[["x", "v"]] += 0.02 * rng.standard_normal((600, 2))
+        table["T [K]"] = rng.normal(288.15, 0.05, 600)
         paths.append(tmp_path / f"swing{number}.csv")
         table.to_csv(paths[-1], index=False)
     return paths
@@ -39,7 +40,7 @@ def files(tmp_path):
 
 def test_equations_reach_json_and_page(files, tmp_path, capsys):
     out, page = tmp_path / "d.json", tmp_path / "d.html"
-    given = [*map(str, files), "--states", "x,v", "--json", str(out), "--report", str(page)]
+    given = [*map(str, files), "--states", "x,v,T [K]", "--json", str(out), "--report", str(page)]
     assert main(["discover", *given, "--library", "poly1+sin(x)+sqrt(v)+cos(x)+abs(v)"]) == 0
     document = json.loads(out.read_text())
     assert document["schema"] == "sindy-surge/discover/1"
@@ -50,7 +51,10 @@ def test_equations_reach_json_and_page(files, tmp_path, capsys):
     assert found["v"] == {"x": pytest.approx(-1.0, abs=0.01), "v": pytest.approx(-0.2, abs=0.01)}
     assert all(t["stderr"] > 0 for e in document["equations"] for t in e["terms"])
     assert document["fit_state"]["code"] == "ok"
-    assert "dv/dt = " in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "dv/dt = " in text
+    assert "\ndT [K]/dt = 0\nidle: T [K] (" in text
+    assert (document["idle"], found["T [K]"]) == (["T [K]"], {})
     assert "data:image" in page.read_text()
 
 

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from sindy_surge import InputError, SparseDynamics
+from sindy_surge.discover.columns import idle
 
 STEP_S = 0.02
 TRUTH = {"x": {"y": 1.0}, "y": {"x": -1.0, "y": 2.0, "x^2 y": -2.0}}
@@ -63,8 +64,6 @@ def test_noise_is_estimated_and_simulation_returns_to_the_measured_cycle(models)
     assert models[0].noise_ == pytest.approx(true, rel=0.06)
     run = models[0].simulate(x[0][0], t)
     assert np.abs(run - x[0]).max() < 0.15
-    with pytest.raises(InputError, match="expected an array of the times"):
-        models[0].simulate(x[0][0], [])
     assert models[0].score(x, t) > 0.999
 
 
@@ -97,17 +96,26 @@ def test_a_useless_optimizer_alone_gives_a_useless_model():
     assert (good.terms_, good.state_.code) == (full.terms_, "proposed")
 
 
-def test_units_and_order_and_level_of_the_states_change_nothing_else(models):
+def test_units_order_levels_and_an_idle_state_change_nothing_else(models):
     for level, more in ((300.0, {"1", "y x"}), (0.0, set())):
         x = [each + np.array((level, 0.0)) for each in van_der_pol(np.random.default_rng(2))[0]]
         turned = [each[:, ::-1] * [1e-2, 1e5] for each in x]
-        model = SparseDynamics().fit(turned, [STEP_S, STEP_S], None, ["y", "x"])
-        assert [set(terms) for terms in model.terms_] == [{"x", "y", "y x^2"} | more, {"y"}]
-        assert model.state_.code == "ok"
+        still = np.random.default_rng(4).normal(level, 0.05, (2, 1000, 1))
+        turned = list(np.concatenate((turned, still), axis=2))
+        model = SparseDynamics().fit(turned, [STEP_S, STEP_S], None, ["y", "x", "T"])
+        assert [set(terms) for terms in model.terms_] == [{"x", "y", "y x^2"} | more, {"y"}, set()]
+        assert (model.state_.code, model.idle_) == ("ok", ("T",))
     # dy/dt = … -2 x² y: its coefficient goes with 1/x².
     found = {term.name: term.coefficient for term in model.equation_terms_[0]}
     plain = {term.name: term.coefficient for term in models[2].equation_terms_[1]}
     assert found["y x^2"] == pytest.approx(1e-10 * plain["x^2 y"], rel=1e-4)
+
+
+def test_what_drifts_decays_or_moves_once_is_not_idle():
+    t = np.arange(1000) * STEP_S
+    moves = (0.0 * t, 0.005 * t, 0.5 * np.exp(-t / 0.03), 0.5 * ((t > 9.0) & (t < 9.5)))
+    y = np.random.default_rng(4).normal(np.column_stack(moves), 0.05)
+    assert idle(y, y[:, :0], np.array([0])).tolist() == [True, False, False, False]
 
 
 def test_a_hidden_state_behind_a_known_equation():
