@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -159,9 +160,10 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
 def _library(text: str, names: Sequence[str]) -> Any:
     """Return the library that a specification such as ``poly3+sqrt(psi)`` names."""
     parts, columns = [], []
-    for part in text.replace(" ", "").split("+"):
-        function, _, inner = part.rstrip(")").partition("(")
-        degree = part.removeprefix("poly")
+    # A column may hold spaces, and a sum in brackets.
+    for part in re.split(r"\s*\+\s*(?![^(]*\))", text.strip()):
+        function, inner = (each.strip() for each in part.removesuffix(")").partition("(")[::2])
+        degree = part.removeprefix("poly").strip()
         if part.startswith("poly") and degree.isdigit() and int(degree) <= HIGHEST_DEGREE:
             parts.append(ps.PolynomialLibrary(degree=int(degree)))
             columns.append(list(range(len(names))))
@@ -180,7 +182,7 @@ def _library(text: str, names: Sequence[str]) -> Any:
                 else part or "nothing",
                 remedy=f"those of the fit are {', '.join(names)}",
             )
-    if len(parts) == 1:
+    if columns == [list(range(len(names)))]:
         return parts[0]
     return ps.GeneralizedLibrary(parts, inputs_per_library=columns)
 

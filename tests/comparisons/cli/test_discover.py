@@ -41,7 +41,7 @@ def files(tmp_path):
 def test_equations_reach_json_and_page(files, tmp_path, capsys):
     out, page = tmp_path / "d.json", tmp_path / "d.html"
     given = [*map(str, files), "--states", "x,v,T [K]", "--json", str(out), "--report", str(page)]
-    assert main(["discover", *given, "--library", "poly1+sin(x)+sqrt(v)+cos(x)+abs(v)"]) == 0
+    assert main(["discover", *given, "--library", "poly1 + sin(x)+sqrt(v)+cos( x)+abs(T [K])"]) == 0
     document = json.loads(out.read_text())
     assert document["schema"] == "sindy-surge/discover/1"
     found = {
