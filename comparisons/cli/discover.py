@@ -26,6 +26,7 @@ from comparisons.show.discover_output import (
     loop_parts,
 )
 from sindy_surge import SparseDynamics, SurgeLoop, discover_loop
+from sindy_surge.discover.trajectories import CUT_ROWS
 from surge_core.errors import InputError, require
 from surge_core.progress import shown_steps
 from surge_core.types import FloatArray
@@ -63,7 +64,12 @@ def run(given: argparse.Namespace) -> Iterable[str]:
             hidden=hidden,
             known=dict(map(_known, given.known)),
         )
-        model.fit(x, t, u, feature_names=(*states, *inputs))
+        try:
+            model.fit(x, t, u, feature_names=(*states, *inputs))
+        except InputError as e:
+            where, found = (_with_files(words, given.files) for words in (e.where, e.found))
+            remedy = e.remedy.replace(CUT_ROWS, CUT)
+            raise InputError(where, expected=e.expected, found=found, remedy=remedy) from None
         begin("writing")
         written = write_asked(
             given,
@@ -71,6 +77,11 @@ def run(given: argparse.Namespace) -> Iterable[str]:
             report=lambda: page(f"Equations of {names}", [(names, discover_parts(model, x, t))]),
         )
     return *discover_lines(model), *written
+
+
+def _with_files(words: str, files: Sequence[Path]) -> str:
+    """Write the files in place of the numbers of trajectories."""
+    return re.sub(r"([xu] of )?trajectory (\d+)", lambda m: str(files[int(m[2])]), words)
 
 
 def _loop(given: argparse.Namespace) -> Iterable[str]:

@@ -191,7 +191,7 @@ _SPIKE = 20.0
 # Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
 # five standard deviations.
 LEAST_NOISE = 3.5e-4
-_CUT = "cut the record there and pass the parts as trajectories"
+CUT_ROWS = "cut the record there and pass the parts as trajectories"
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ def listed(name: str, values: Any) -> list[FloatArray]:
 
     several = _several(values)
     masked = any(np.ma.is_masked(each) for each in (values if several else [values]))
-    require(not masked, name, "numbers without a mask", "masked ones", _CUT)
+    require(not masked, name, "numbers without a mask", "masked ones", CUT_ROWS)
     try:
         arrays = [
             check_array(each, dtype=np.float64, ensure_2d=False, input_name=name)
@@ -364,7 +364,7 @@ def listed(name: str, values: Any) -> list[FloatArray]:
             name,
             expected="finite numbers of shape (n_rows, n_columns), or a list of such arrays",
             found=str(error).partition("\n")[0],
-            remedy=_CUT if "contains" in str(error) else "pass numbers, a row for each time",
+            remedy=CUT_ROWS if "contains" in str(error) else "pass numbers, a row for each time",
         ) from error
     return [np.reshape(each, (len(each), -1)) for each in arrays]
 
@@ -397,7 +397,7 @@ def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
             name,
             expected="readings that follow one another",
             found=f"{found:g} in row {row} of {state}, between {before:g} and {after:g}",
-            remedy=f"{_CUT}; sample faster if it is real",
+            remedy=f"{CUT_ROWS}; sample faster if it is real",
         )
 
 

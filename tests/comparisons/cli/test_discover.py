@@ -80,7 +80,7 @@ def test_one_state_alone_is_not_called_ok_and_no_equation_is_stated(files, tmp_p
         (["--states", "x,v"], ("x", 3, "n/a"), "row 4; cut the record there and give the parts"),
         (["--states", "x,v"], ("time_s", 1, 0.0), "leave one of the two rows out"),
         (["--states", "x,v"], ("time_s", 7, 0.0), "time_s"),
-        (["--states", "x,v"], ("x", slice(None), 1.0), "constant"),
+        (["--states", "x,v"], ("x", 3, 99.0), "swing0.csv: expected readings that follow one"),
         (["--states", "x,time_s"], None, "the clock"),
         ([], None, "are x, v"),
     ],
