@@ -32,7 +32,13 @@ from surge_core.progress import shown_steps
 from surge_core.types import FloatArray
 
 TIME = "time_s"
-FUNCTIONS = ("sqrt", "sin", "cos", "abs")
+FUNCTIONS: dict[str, Any] = {
+    # Noise at zero must not leave the domain of the root; pysindy counts arguments of Python's own.
+    "sqrt": lambda x: np.sqrt(abs(x)),
+    "sin": lambda x: np.sin(1.0 * x),
+    "cos": lambda x: np.cos(1.0 * x),
+    "abs": lambda x: abs(1.0 * x),
+}
 HIGHEST_DEGREE = 6
 CUT = "cut the record there and give the parts as files"
 
@@ -159,12 +165,9 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             remedy = "write the time with more digits"
         elif steps.min() == 0.0:
             remedy = "leave one of the two rows out"
-        raise InputError(
-            f"{path}: column time_s",
-            expected="times that rise",
-            found=f"{table[back[0], 0]:g} s followed by {table[back[0] + 1, 0]:g} s",
-            remedy=remedy,
-        )
+        found = f"{table[back[0], 0]:g} s followed by {table[back[0] + 1, 0]:g} s"
+        where, expected = f"{path}: column time_s", "times that rise"
+        raise InputError(where, expected=expected, found=found, remedy=remedy)
     return table
 
 
@@ -179,33 +182,18 @@ def _library(text: str, names: Sequence[str]) -> Any:
             parts.append(ps.PolynomialLibrary(degree=int(degree)))
             columns.append(list(range(len(names))))
         elif function in FUNCTIONS and inner in names and part.endswith(")"):
-            called = _function(getattr(np, function), of_size=function == "sqrt")
             named = [lambda x, word=function: f"{word}({x})"]
-            parts.append(ps.CustomLibrary([called], function_names=named))
+            parts.append(ps.CustomLibrary([FUNCTIONS[function]], function_names=named))
             columns.append([list(names).index(inner)])
         else:
-            raise InputError(
-                "--library",
-                expected=f"poly1 to poly{HIGHEST_DEGREE} and {', '.join(FUNCTIONS)} of a column, "
-                "joined by +, such as 'poly3+sqrt(psi)'",
-                found=f"{part}, and {inner} is no column of the fit"
-                if function in FUNCTIONS and inner and inner not in names
-                else part or "nothing",
-                remedy=f"those of the fit are {', '.join(names)}",
+            expected = (
+                f"poly1 to poly{HIGHEST_DEGREE} and {', '.join(FUNCTIONS)} of a column, joined by +"
             )
+            remedy = f"the columns of the fit are {', '.join(names)}"
+            raise InputError("--library", expected=expected, found=part or "nothing", remedy=remedy)
     if columns == [list(range(len(names)))]:
         return parts[0]
     return ps.GeneralizedLibrary(parts, inputs_per_library=columns)
-
-
-def _function(kernel: Any, *, of_size: bool) -> Any:
-    """Return a function that pysindy can count the arguments of; a root is that of abs(x)."""
-    # Noise at zero must not leave the domain of the root.
-
-    def called(x: Any) -> Any:
-        return kernel(abs(x) if of_size else x)
-
-    return called
 
 
 def _known(text: str) -> tuple[str, dict[str, float]]:
@@ -215,6 +203,5 @@ def _known(text: str) -> tuple[str, dict[str, float]]:
         pairs = [part.split("=") for part in rest.split(",")]
         return state.strip(), {name.strip(): float(value) for name, value in pairs}
     except ValueError:
-        raise InputError(
-            "--known", expected="an equation such as 'phi: psi_c=1.8, psi=-1.8'", found=text
-        ) from None
+        expected = "an equation such as 'phi: psi_c=1.8, psi=-1.8'"
+        raise InputError("--known", expected=expected, found=text) from None

@@ -12,7 +12,7 @@ from scipy.stats import chi2, norm
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.discover.collocation import Collocation, Fit
-from sindy_surge.discover.trajectories import LEAST_NOISE, WiderFeatures
+from sindy_surge.discover.trajectories import LEAST_NOISE, WiderFeatures, factors
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.search import Search, Tried, best_of_equation, chosen_support
 from surge_core.types import FloatArray, IndexArray
@@ -249,27 +249,45 @@ def pays_beyond(level: Level, best: Tried[Fit], columns: Sequence[str]) -> tuple
     linear = replace(problem, features=wide, known=known).regression(replace(best.fit, xi=xi))
     free = sorted({i // n for equation in level.equations for i in equation})
     wide_n = n + more
-    beyond = tuple(s * wide_n + n + i for s in free for i in range(more))
+    names = wide.others(columns)
+    beyond = [
+        (factors(name), tuple(s * wide_n + n + i for s in free)) for i, name in enumerate(names)
+    ]
     kept = tuple(i // n * wide_n + i % n for i in best.support)
     price = level.price + 2.0 * float(np.log(wide_n / n))
     equations = [tuple(range(s * wide_n, (s + 1) * wide_n)) for s in free]
-    found = pays(linear, beyond, kept, price, equations)
-    names = wide.others(columns)
-    return tuple(names[i % wide_n - n] for i in sorted(set(found) & set(beyond)))
+    found = {i % wide_n - n for i in pays(linear, beyond, kept, price, equations)}
+    return tuple(names[i] for i in sorted(found) if i >= 0)
 
 
 def pays(
-    linear: LinearProblem, beyond: Support, kept: Support, price: float, equations: list[Support]
+    linear: LinearProblem,
+    beyond: list[tuple[float, Support]],
+    kept: Support,
+    price: float,
+    equations: list[Support],
 ) -> Support:
-    """Return the terms kept with one beyond that pays, or others of one equation that do."""
-    found = min(best_of_equation(linear, beyond, kept, price, 1, 1))[1]
+    """Return the terms kept with one beyond that pays, or others of one equation that do.
+
+    One beyond, given with its number of factors, is tried in each equation and in all: what one
+    gains another may lose. Of those no more than a rival behind the best the simplest is taken.
+    """
+    tried = [
+        (factors, linear.score((*kept, *way), price), way)
+        for factors, own in beyond
+        for way in {own, *((i,) for i in own)}
+    ]
+    enough = min([score for _, score, _ in tried], default=np.inf) + RIVAL
+    enough = min(enough, linear.score(kept, price))
+    if good := [each for each in tried if each[1] < enough]:
+        return (*kept, *min(good)[2])
     # T⁴ in place of T, T² and T³ pays, where beside these it does not.
-    for own in equations if found == kept else ():
+    for own in equations:
         rest = tuple(i for i in kept if i not in own)
         score, other = min(best_of_equation(linear, own, rest, price))
         if score < linear.score(kept, price) - RIVAL:
             return other
-    return found
+    return kept
 
 
 def _proposals(

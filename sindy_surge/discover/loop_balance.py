@@ -199,7 +199,9 @@ def fit_balance(
     unit = np.linalg.norm(left) / np.sqrt(independent)
     linear = without_nuisances(columns[:, :0], columns / unit, goal / unit)
     every, cost = tuple(range(len(wide))), price(independent, len(wide))
-    found = np.array(pays(linear, every[n:], tuple(chosen.tolist()), cost, [every]))
+    found = np.array(
+        pays(linear, [(0, (i,)) for i in every[n:]], tuple(chosen.tolist()), cost, [every])
+    )
     beyond = wide[[i for i in held(found, cost)[0] if i >= n]].tolist()
     names = tuple(monomial_name(FACTORS, each) for each in beyond)
     return Balance(coefficients, covariance, wide[chosen], names)

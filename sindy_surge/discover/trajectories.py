@@ -149,15 +149,16 @@ class WiderFeatures(Features):
     def others(self, columns: Sequence[str]) -> tuple[str, ...]:
         """Return the names of those that the library lacks, from those of states and inputs."""
         laws = [law.format(name) for law in _LAWS for name in columns]
-        products = [_times(term, name) for term in self.names for name in ("1", *columns)]
+        terms, factors = (("1", *names) for names in (self.names, columns))
+        products = [_times(term, name) for term in terms for name in factors]
         every = (*self.names, *laws, *products)
         return tuple(every[i] for i in self.kept[len(self.names) :])
 
     def _with_others(self, x: FloatArray, u: FloatArray) -> FloatArray:
         own, z = super().values(x, u), self._columns(x, u)
         laws = [law(z) for law in _LAWS.values()]
-        factors = np.column_stack((np.ones(len(x)), z))
-        products = (own[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
+        terms, factors = (np.pad(each, ((0, 0), (1, 0)), constant_values=1.0) for each in (own, z))
+        products = (terms[:, :, None] * factors[:, None, :]).reshape(len(x), -1)
         return np.column_stack((own, *laws, products))
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -170,13 +171,23 @@ class WiderFeatures(Features):
         return np.pad(super().derivatives(x, u, columns), ((0, 0), (0, 0), (0, more)))
 
 
-def _times(term: str, name: str) -> str:
-    """Return the name of a term times a column, as pysindy writes it: ``T^4`` for T³ and T."""
+def factors(name: str) -> float:
+    """Return the number of factors of a term; a law comes behind the powers that begin it."""
+    return 3.5 if re.search(r"[(|]", name) else sum(_powers_of(name).values())
+
+
+def _powers_of(term: str) -> Counter[str]:
     powers: Counter[str] = Counter()
-    for factor in (name, *term.split()):
+    for factor in term.split():
         base, _, power = factor.partition("^")
         powers[base] += int(power) if power.isdigit() else 1
     del powers["1"]
+    return powers
+
+
+def _times(term: str, name: str) -> str:
+    """Return the name of a term times a column, as pysindy writes it: ``T^4`` for T³ and T."""
+    powers = _powers_of(f"{name} {term}")
     return " ".join(base if p == 1 else f"{base}^{p}" for base, p in powers.items()) or "1"
 
 
@@ -393,12 +404,9 @@ def _no_spikes(name: str, x: FloatArray, names: Any) -> None:
         row, column = int(rows[0]) + 2, int(columns[0])
         before, found, after = x[row - 1 : row + 2, column]
         state = f"column {column}" if names is None else dict(enumerate(names)).get(column)
-        raise InputError(
-            name,
-            expected="readings that follow one another",
-            found=f"{found:g} in row {row} of {state}, between {before:g} and {after:g}",
-            remedy=f"{CUT_ROWS}; sample faster if it is real",
-        )
+        odd = f"{found:g} in row {row} of {state}, between {before:g} and {after:g}"
+        expected, remedy = "readings that follow one another", "; sample faster if it is real"
+        raise InputError(name, expected=expected, found=odd, remedy=CUT_ROWS + remedy)
 
 
 def times_of(t: Any, rows: int) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from pysindy import STLSQ
 
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.search import Search, best_of_equation, chosen_support
@@ -70,8 +71,6 @@ def test_beside_gives_coefficients_in_the_units_of_the_whole(problem: Regression
 
 
 def test_an_optimizer_sees_physical_units(problem: Regression) -> None:
-    from pysindy import STLSQ
-
     linear = problem.regression(np.zeros(0))
     assert chosen_support(linear, STLSQ(threshold=0.4, alpha=0.0)) == TRUTH
     assert chosen_support(linear, STLSQ(threshold=5.0)) == ()

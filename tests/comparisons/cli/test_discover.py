@@ -73,7 +73,7 @@ def test_one_state_alone_is_not_called_ok_and_no_equation_is_stated(files, tmp_p
     [
         (["--states", "x,w"], None, "w"),
         (["--states", "x,x"], None, "--states"),
-        (["--states", "x,v", "--library", "sqrt(p)"], None, "p is no column of the fit"),
+        (["--states", "x,v", "--library", "sqrt(p)"], None, "the columns of the fit are x, v"),
         (["--states", "x,v", "--hidden", "h"], None, "hidden"),
         (["--states", "x,v", "--known", "q: x=1"], None, "known"),
         (["--states", "x,v", "--known", "nonsense"], None, "--known"),

@@ -206,8 +206,6 @@ def test_noise_on_an_input_is_estimated_where_its_own_rows_show_it(kind):
 
 
 def test_inputs_that_are_too_coarse_to_be_followed_are_said():
-    """Five rows a period of the input, between which no two splines agree."""
-
     def force(t):
         return np.sin(t) + 0.7 * np.cos(0.37 * t + 0.3)
 
@@ -218,13 +216,10 @@ def test_inputs_that_are_too_coarse_to_be_followed_are_said():
     assert model.state_.code == "coarse_rows"
 
 
-def test_single_odd_readings_are_refused_or_said():
+def test_single_odd_readings_are_said():
     x, t = van_der_pol(np.random.default_rng(8), n=1)
     x[0][[100, 300, 301, 500], [0, 1, 0, 1]] += 0.4
     assert SparseDynamics().fit(x[0].tolist(), t).state_.code == "odd_rows"
-    x[0][400] = 99.0
-    with pytest.raises(InputError, match="99 in row 400 of q"):
-        SparseDynamics().fit(x, t, None, ["q", "w"])
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -240,17 +235,22 @@ def test_single_odd_readings_are_refused_or_said():
     ],
 )
 def test_a_term_that_the_library_lacks_is_not_called_ok(rate, starts, noise, beyond, seed):
-    """Cubics leave 1.03 times a pendulum's noise, not white, and of x/(1 + x) what x⁴ sees.
-
-    T⁴ takes the place of several terms, beside which it says nothing new. Of angles up to 0.9 the
-    powers reproduce a sine.
-    """
+    """Of a pendulum cubics leave noise that is not white. T⁴ takes the place of several terms."""
     rng, t = np.random.default_rng(seed), np.arange(1500) * STEP_S
     runs = [solved(rate, [start, 0.0], t) for start in starts]
     noisy = [run + noise * run.std(axis=0) * rng.standard_normal(run.shape) for run in runs]
     model = SparseDynamics().fit(noisy, t)
     assert model.state_.code == ("coloured_rest" if starts == [2] else "library_too_small")
     assert beyond in " ".join(model.beyond_)
+
+
+def test_of_terms_beyond_the_library_that_do_as_well_the_simplest_is_said():
+    """Selkov's x² y is in both equations, and the constant was never tried: sin(x) and cos(x)."""
+    t, without = np.arange(1000) * 0.1, ps.PolynomialLibrary(3, include_bias=False)
+    run = solved(lambda x, y: [y / 12 - x + x * x * y, 0.6 - y / 12 - x * x * y], [1, 1], t)
+    noisy = np.random.default_rng(1).normal(run, 0.01 * run.std(axis=0))
+    for library, beyond in ((without, "1"), (ps.PolynomialLibrary(2), "x1 x0^2")):
+        assert SparseDynamics(library).fit(noisy, t).beyond_ == (beyond,)
 
 
 @pytest.mark.parametrize("how", ["delay", "lag"])
@@ -312,7 +312,6 @@ def test_short_runs_and_unequal_noise_are_not_called_coloured(sizes):
         ({"known": {"x": {"y": 1.0}, "y": {"x": -1.0}}}, "known"),
         ({"hidden": "rotor"}, "hidden"),
         ({"differentiation": ps.FiniteDifference}, "differentiation"),
-        ({"hidden": ["x"]}, "feature_names, hidden"),
         ({"names": [0, 1]}, "feature_names, hidden"),
         ({"names": ["x", "x^2"]}, "feature_names, hidden"),
     ],
@@ -331,7 +330,6 @@ def test_bad_options_are_named(options, where):
         ([np.random.default_rng(0).random((100, 2))] * 2, 0.1, None, "x of trajectory 1"),
         (np.random.default_rng(0).random((100, 2)), -0.1, None, "t"),
         (np.random.default_rng(0).random((100, 2)), 0.1, np.ones(50), "u of trajectory 0"),
-        (np.random.default_rng(0).random((100, 2)), 0.1, np.full(100, 0.1), "u0"),
         (np.random.default_rng(0).random((100, 1)).round(6) * [1, 0.3], 0.1, None, "x1"),
         (np.ma.masked_less(np.random.default_rng(0).random((100, 2)), 0.1), 0.1, None, "x"),
         (np.random.default_rng(0).random((3, 2)), np.arange(3).astype("m8[s]"), None, "t"),
