@@ -44,9 +44,12 @@ def constraints_of(
     for name, words in asked.items():
         clash = {"required", "forbidden"} <= words or {"positive", "negative"} <= words
         if name not in names or not words or not words <= set(_WORDS) or clash:
-            expected = f"for a term among {', '.join(names)} one of {', '.join(_WORDS)}, or two"
-            found = " ".join(sorted(words)) or "nothing"
-            raise InputError(f"constraints[{name!r}]", expected=expected, found=found)
+            raise InputError(
+                f"constraints[{name!r}]",
+                expected=f"for a term among {', '.join(names)} one of {', '.join(_WORDS)}, or two "
+                "that agree",
+                found=" ".join(sorted(words)) or "nothing",
+            )
     forbidden = {names.index(name) for name, words in asked.items() if "forbidden" in words}
     columns = np.array([i for i in usable if int(i) not in forbidden], dtype=np.intp)
     position = {names[int(i)]: number for number, i in enumerate(columns)}
@@ -56,9 +59,12 @@ def constraints_of(
             required += [position[name]] * ("required" in words)
             signs[position[name]] = ("positive" in words) - float("negative" in words)
         elif "required" in words:
-            expected = f"{name!r} to be separable from the other terms by the data"
-            found = "a term that is zero or a sum of others over this record"
-            raise InputError("constraints", expected=expected, found=found)
+            raise InputError(
+                "constraints",
+                expected=f"{name!r} to be separable from the other terms by the data",
+                found="a term that is zero or a sum of others over this record",
+                remedy="forbid one of those, or leave the requirement out",
+            )
     return columns, Constraints(tuple(sorted(required)), signs)
 
 

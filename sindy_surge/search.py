@@ -249,8 +249,12 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
         size = float(np.linalg.norm(linear.target)) or 1.0
         levels = size * np.geomspace(1e-5, 1.0, _STLSQ_THRESHOLDS)
         return [STLSQ(threshold=v, alpha=0.0, max_iter=2 * n_terms, ridge_kw=exact) for v in levels]
-    expected = f"one of {', '.join(OPTIMIZERS)} or a pysindy optimizer, with its options"
-    raise InputError("optimizer", expected=expected, found=repr(optimizer))
+    raise InputError(
+        "optimizer",
+        expected=f"one of {', '.join(OPTIMIZERS)} or a pysindy optimizer",
+        found=repr(optimizer),
+        remedy=f"pass {optimizer.__name__}(...)" if isinstance(optimizer, type) else "",
+    )
 
 
 def _history(optimizer: Any, linear: LinearProblem) -> list[FloatArray]:

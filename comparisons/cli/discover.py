@@ -51,7 +51,7 @@ def run(given: argparse.Namespace) -> Iterable[str]:
         with open_csv(given.files[0], FileLayout()) as stored:
             names = ", ".join(name for name in stored.names if name != TIME)
         remedy = f"those of {given.files[0].name} are {names}"
-        expected = "columns, such as --states x,v"
+        expected = "the columns that are states, such as --states x,v"
         raise InputError("--states", expected=expected, found="none", remedy=remedy)
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
     clock = TIME in (*states, *inputs)
@@ -152,9 +152,8 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             raise InputError(e.where, expected=e.expected, found=e.found, remedy=remedy) from None
         table = np.concatenate(blocks).astype(np.float64)
     for name, values in zip(wanted, table.T, strict=True):
-        for odd in values[~np.isfinite(values)].tolist():
-            where, expected = f"{path}: column {name}", "a finite number in every row"
-            raise InputError(where, expected=expected, found=f"{odd:g}", remedy=CUT)
+        odd = ", ".join(f"{value:g}" for value in values[~np.isfinite(values)][:1])
+        require(not odd, f"{path}: column {name}", "a finite number in every row", odd, CUT)
     steps, sorted_steps = np.diff(table[:, 0]), np.diff(np.sort(table[:, 0]))
     back = np.flatnonzero(steps <= 0.0)
     if back.size:

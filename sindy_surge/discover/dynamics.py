@@ -356,7 +356,8 @@ class SparseDynamics(BaseEstimator):
         apart(np.column_stack((data.y, data.u)), named[: data.y.shape[1] + data.u.shape[1]])
         known = self._checked_known()
         # Not one that a given equation moves or holds.
-        free = [name not in f"{known}" for name in states]
+        tied = " ".join(term for terms in known.values() for term in terms).replace("^", " ")
+        free = [name not in (*known, *tied.split()) for name in states]
         still = idle(data.y, data.u, data.runs.starts) & free
         still &= not still[free].all()
         self.idle_ = tuple(np.array(states)[still].tolist())

@@ -113,10 +113,12 @@ def hidden_plenum(
         root = np.copysign(np.sqrt(np.abs(plenum)), plenum)
         sides = [*sides[:2], np.convolve(root, weight, "valid")]
     if not gain > 0:
-        expected = "φ to rise with ψ', as through a duct, when no plenum pressure is given"
-        remedy = "give the plenum pressure, or check the sign and timing of φ and ψ'"
-        shown = f"dφ/dt = {gain:.3g} (ψ' - Ψ)"
-        raise InputError("plenum", expected=expected, found=shown, remedy=remedy)
+        raise InputError(
+            "plenum",
+            expected="φ to rise with ψ', as through a duct, when no plenum pressure is given",
+            found=f"dφ/dt = {gain:.3g} (ψ' - Ψ)",
+            remedy="give the plenum pressure, or check the sign and timing of φ and ψ'",
+        )
     starts = range(0, goal.size, period_samples)
     cycles = [slice(start, start + period_samples) for start in starts]
     spread = covariance_of_cycles(-terms, goal - terms @ found, cycles)[0, 0]

@@ -262,11 +262,14 @@ def discover_loop(
         noise.append(float(np.mean(levels)))
     cycles = measure_cycles(np.column_stack(smooth), step)
     if cycles.n_cycles < _FEWEST_CYCLES or cycles.period_s < _FEWEST_SAMPLES * step:
-        expected = f"at least {_FEWEST_CYCLES} surge cycles, {_FEWEST_SAMPLES} samples each"
-        found = f"{cycles.n_cycles} in {smooth[0].size} samples"
-        found += f", of {cycles.period_s:.3g} s" if cycles.n_cycles else ""
-        remedy = "use a longer record, or sample faster"
-        raise InputError("phi", expected=expected, found=found, remedy=remedy)
+        raise InputError(
+            "phi",
+            expected=f"at least {_FEWEST_CYCLES} whole surge cycles of at least {_FEWEST_SAMPLES} "
+            "samples",
+            found=f"{cycles.n_cycles} in {smooth[0].size} samples"
+            + (f", of {cycles.period_s:.3g} s" if cycles.n_cycles else ""),
+            remedy="use a longer record, or sample faster",
+        )
     period_samples = round(cycles.period_s / step)
     rows = LagRows(smooth[0], measured[1], runs, step, period_samples, noise[0]).refined()
     lag = fit_lag(rows, noise[1])
@@ -307,9 +310,12 @@ def _check(channels: list[list[FloatArray]]) -> None:
     sizes = [[x.shape for x in channel] for channel in channels]
     alike = all(s == sizes[0] for s in sizes) and all(len(s) == 1 for s in sizes[0])
     if not alike or not all(x.size and 0 < np.ptp(x) < np.inf for c in channels for x in c):
-        expected = "one finite value of each for every sample, that changes with the cycles"
-        remedy, found = "cut the channels to the same rows, no gaps", "; ".join(map(str, sizes))
-        raise InputError("phi, psi_p, plenum", expected=expected, found=found, remedy=remedy)
+        raise InputError(
+            "phi, psi_p, plenum",
+            expected="one finite value of each for every sample, that changes with the cycles",
+            found="; ".join(f"{s}" for s in sizes),
+            remedy="cut the channels to the same rows; a gap cannot be simulated across",
+        )
 
 
 def _sum(part: Branch | Balance) -> str:

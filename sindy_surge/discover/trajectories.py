@@ -51,10 +51,13 @@ class Features:
             n, level = len(terms), np.full(size.size, np.nan)
             found = cls(fitted, terms, size, level, np.arange(n))
             bad = np.flatnonzero(~np.isfinite(found.values(x, u)).all(axis=0))
-        for i in bad.tolist():
-            finite, remedy = "terms that are finite on the whole record", "leave the term out"
-            lost = f"{terms[i]}, which is not"
-            raise InputError("library", expected=finite, found=lost, remedy=remedy)
+        if bad.size:
+            raise InputError(
+                "library",
+                expected="terms that are finite on the whole record",
+                found=f"{terms[bad[0]]}, which is not",
+                remedy="leave the term out, or write it so that noise cannot leave its domain",
+            )
         if not idle.size:
             return found
         holds = np.any(found.derivatives(x, u, idle) != 0.0, axis=(0, 1))
@@ -104,7 +107,7 @@ class Features:
         """Return the place of a term, or refuse one that the library has not."""
         plain = re.sub(r"\s*\*\s*", " ", str(name).strip())
         expected = "terms of the library: " + ", ".join(self.names)
-        require(plain in self.names, "known", expected, str(name))
+        require(plain in self.names, "known", expected, str(name), "write it as the library does")
         return self.names.index(plain)
 
 
