@@ -70,11 +70,6 @@ class Collocation:
     def __post_init__(self) -> None:
         object.__setattr__(self, "joined", self.data.within(self.rows))
 
-    @property
-    def held(self) -> bool:
-        """Whether an input is held between rows."""
-        return bool(np.any(self.data.held))
-
     def cut(self, rows: int | None) -> Collocation:
         """Return the same with other segments."""
         return replace(self, rows=rows)
@@ -170,8 +165,8 @@ class Collocation:
         rows, hidden = int(self.joined.sum()), int(self.hidden.sum())
         # What is not measured costs nothing.
         free = rows * self.noise.size - len(fit.x) * hidden
-        units = rows * float(np.sum(np.log(self.noise)))
-        return float(free * np.log(fit.chi2) + 2.0 * (np.sum(np.log(factor[0])) + units))
+        logs = np.sum(np.log(factor[0])) + rows * np.sum(np.log(self.noise))
+        return float(free * (1.0 + np.log(fit.chi2 / free)) + 2.0 * logs)
 
     def innovations(self, fit: Fit) -> FloatArray:
         """Return what is new in each row, (n_rows, n_states), in units of noise; 0 at starts."""
@@ -211,7 +206,7 @@ class _About:
             theta = features.values(x, u)
             self.theta = theta[:-1]
             end = data.end_inputs
-            self.theta_e = features.values(x[1:], end) if problem.held else theta[1:]
+            self.theta_e = features.values(x[1:], end) if data.held.any() else theta[1:]
             f, f_e = self.theta @ total, self.theta_e @ total
             middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f - f_e)
             self.middle = middle
@@ -231,9 +226,9 @@ class _About:
 
     def tangents(self, support: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return how the defects move with x_k, x_{k+1} and, but for the sign, with ξ."""
-        problem, data, slopes = self.problem, self.data, self.slopes
+        data, slopes = self.data, self.slopes
         J = slopes(self.x, data.u)
-        J, J_e = J[:-1], slopes(self.x[1:], data.end_inputs) if problem.held else J[1:]
+        J, J_e = J[:-1], slopes(self.x[1:], data.end_inputs) if data.held.any() else J[1:]
         J_m = slopes(self.middle, data.inputs_at(0.5))
         h = self.h[:, :, None]
         eye = np.eye(self.x.shape[1])

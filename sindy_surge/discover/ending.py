@@ -87,7 +87,7 @@ def _depends_on_inputs(level: Level, best: Tried[Fit]) -> bool:
     return any(
         gain > -HELD and np.any(np.abs((fit.xi - best.fit.xi).T.ravel()[places]) > errors)
         for gain, _, fit, own in other_inputs([level], best)
-        if own.data.runs is level.likelihood.data.runs
+        if own.data.open is level.likelihood.data.open
     )
 
 

@@ -39,11 +39,6 @@ class Late:
     late_s: float
     stderr_s: float
 
-    def either(self, other: Late) -> Late:
-        """Return it where another way is as likely."""
-        stderr_s = float(np.hypot(self.stderr_s, other.late_s - self.late_s))
-        return replace(self, how=f"{DELAY} or {LAG}", stderr_s=stderr_s)
-
     def undone(self, data: Trajectories, readings: FloatArray) -> Trajectories:
         """Return trajectories with late readings moved, by their way without noise."""
         return data.moved(self.states, self.late_s, readings, lag=self.how == LAG)
@@ -74,7 +69,9 @@ def read_late(
     asked += [read] if inputs else []
     # Readings that come late by half a row look like inputs that are held.
     smooth = replace(problem, data=replace(problem.data, held=np.zeros(inputs, dtype=np.bool_)))
-    levels = [level, replace(level, likelihood=smooth, tried={})][: 1 + problem.held]
+    levels = [level, replace(level, likelihood=smooth, tried={})][
+        : 1 + bool(problem.data.held.any())
+    ]
     looked = []
     for i, own in enumerate(levels):
         for states in asked:
@@ -96,7 +93,9 @@ def read_late(
     (own, tried, late), *others = found
     for _, other, one in others:
         if one.states == late.states and one.how != late.how and other.score < tried.score + RIVAL:
-            tried, late = _either(tried, other), late.either(one)
+            error = float(np.hypot(late.stderr_s, one.late_s - late.late_s))
+            tried = _either(tried, other)
+            late = replace(late, how=f"{DELAY} or {LAG}", stderr_s=error)
             break
     if one_of_two and late.late_s < 0.0:
         late = replace(late, states=read[:1], late_s=-late.late_s)
@@ -169,7 +168,7 @@ def _moved(
         problem = replace(level.likelihood, data=moved)
         (last, *_), again = searched(problem, rates, given, optimizer, near, full=True)
         same = last.likelihood.data
-        laid = replace(moved, held=same.held, runs=same.runs)
+        laid = replace(moved, held=same.held, open=same.open)
         own = Level(replace(problem, data=laid, late=late.states), level.equations, level.price)
         tried = own.try_support(again.support, again.fit, again.by)
         if not np.isfinite(tried.score):

@@ -31,6 +31,8 @@ RIVAL = 10.0
 # deviation: by so much with 1e-4 at most, whatever D is. On heat into two masses, its input a ramp
 # and a step, a smooth truth was once behind by 10.
 HELD = float(norm.isf(_BY_CHANCE)) ** 2
+# How often noise may open steps that lie on rows, which costs no more than a little evidence.
+_NEEDLESS = 1e-2
 # Parts of a step between rows, tried one after the other until the error of the rule, which falls
 # with their fourth power, adds less than this share to the variance of the coefficients.
 _PARTS = (4, 16)
@@ -160,22 +162,20 @@ def searched(
 def other_inputs(
     levels: list[Level], best: Tried[Fit]
 ) -> list[tuple[float, float, Fit, Collocation]]:
-    """Return the best with an input held that was smooth, or the reverse, or cut at jumps.
+    """Return the best with an input held that was smooth, or the reverse, or open at jumps.
 
     Each with how far ahead it is, in χ², and how far it has to be.
     """
-    problem, result = levels[0].likelihood, []
+    problem, data, result = levels[0].likelihood, levels[0].likelihood.data, []
     if not np.isfinite(best.score):
         return []
-    data = problem.data
-    turned = [data.held ^ (np.arange(data.held.size) == i) for i in range(data.held.size)]
+    # One that does nothing but jump at open moments stays as it is meanwhile.
+    may_turn = ~np.all(data.open | (np.diff(data.u, axis=0) == 0.0), axis=0)
+    turned = [data.held ^ (np.arange(may_turn.size) == i) for i in np.flatnonzero(may_turn)]
     ways = [(HELD * (held.sum() - data.held.sum()), replace(data, held=held)) for held in turned]
-    # Noisy inputs are no jumps: their splines go through what is estimated.
-    if not problem.input_noise.any():
-        more = data.cut_at_jumps.runs.starts.size - data.runs.starts.size
-        # BIC of the starts that each cut leaves free.
-        price = np.log(len(data.y)) * data.y.shape[1] * more
-        ways += [(price, data.cut_at_jumps)] if more else []
+    way = data.open_at_jumps
+    if free := data.y.shape[1] * int((data.within() & ~way.within()).sum()):
+        ways.append((chi2.isf(_NEEDLESS, free), way))
     for least, way in ways:
         level = replace(levels[0], likelihood=replace(problem, data=way), tried={})
         tried = level.try_support(best.support, best.fit, best.by)

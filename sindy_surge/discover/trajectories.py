@@ -218,6 +218,8 @@ class Trajectories:
     runs: Segments  # The rows of each trajectory between gaps
     # (n_inputs,): Inputs held from each row to the next; the others run smoothly through the rows
     held: BoolArray
+    # (n_rows - 1, n_inputs): Where one jumps between rows, over which nothing is run
+    open: BoolArray
 
     @classmethod
     def of(cls, x: Any, t: Any, u: Any = None, names: Any = None) -> Trajectories:
@@ -250,8 +252,8 @@ class Trajectories:
             _no_spikes(where, states, names)
         inputs = np.concatenate(us)
         runs = Segments.from_labels(np.concatenate(parts), len(inputs))
-        smooth = np.zeros(inputs.shape[1], dtype=np.bool_)
-        return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, smooth)
+        none = np.zeros(inputs.shape, dtype=np.bool_)
+        return cls(np.concatenate(xs), inputs, np.concatenate(times), runs, none[0], none[1:])
 
     @property
     def step_s(self) -> FloatArray:
@@ -303,13 +305,14 @@ class Trajectories:
         the inputs move less there. A start is free: of a step at a cut nothing shows.
         """
         offset = self.runs.offsets()[1:]
+        joined: BoolArray = (offset > 0) & ~np.any(self.open, axis=1)
         if rows is None:
-            return np.asarray(offset > 0)
+            return joined
         size = np.maximum(np.ptp(self.u, axis=0), 1e-300)
         moves = np.sum(np.abs(np.diff(self.u, axis=0)) / size, axis=1)
         cuts = [(offset + more) % rows == 0 for more in (0, rows // 2)]
         cut = min(cuts, key=lambda here: float(moves[here & (offset > 0)].sum()))
-        return np.asarray((offset > 0) & ~cut)
+        return np.asarray(joined & ~cut)
 
     @cached_property
     def end_inputs(self) -> FloatArray:
@@ -323,30 +326,33 @@ class Trajectories:
     def inputs_at(self, share: float, degree: int = 3) -> FloatArray:
         """Return the inputs after a share of each step, (n_rows - 1, n_inputs), by splines."""
         if (share, degree) not in self._between:
-            value = self.u[:-1].copy()
-            for rows in self.runs.slices() if not self.held.all() else ():
-                t, own = self.time_s[rows], slice(rows.start, rows.stop - 1)
-                smooth = make_interp_spline(t, self.u[rows], degree)(t[:-1] + share * np.diff(t))
-                value[own] = np.where(self.held, value[own], smooth)
+            value, t = self.u[:-1].copy(), self.time_s
+            at = t[:-1] + share * np.diff(t)
+            for i in np.flatnonzero(~self.held).tolist():
+                # A spline rings at a jump.
+                ends = self.open[:, i] | (self.runs.offsets()[1:] == 0)
+                for rows in np.split(np.arange(len(t)), np.flatnonzero(ends) + 1):
+                    smooth = make_interp_spline(
+                        t[rows], self.u[rows, i], min(degree, len(rows) - 1)
+                    )
+                    value[rows[:-1], i] = smooth(at[rows[:-1]])
             self._between[share, degree] = value
         return self._between[share, degree]
 
     @cached_property
-    def cut_at_jumps(self) -> Trajectories:
-        """Return them cut where an input jumps, for its splines ring there.
+    def open_at_jumps(self) -> Trajectories:
+        """Return them open where an input jumps: rows do not say at what moment between them.
 
-        When it jumps between two rows they do not say either. Jumps whose parts would be too short
-        stay.
+        It moves and stays as it was on one side at least, or moves far more than it does beside.
+        One that does nothing else is held.
         """
-        moves, cuts = np.abs(np.diff(self.u, axis=0)), self.runs.starts.tolist()
-        # By how much a move is larger than those beside it.
-        more = moves[1:-1] - np.maximum(moves[:-2], moves[2:])
-        usual = _usual(np.maximum(more, 0.0), self.u)
-        for row in (np.flatnonzero(np.any(more > _SPIKE * usual, axis=1)) + 2).tolist():
-            if np.min(np.abs([each - row for each in (*cuts, len(self.u))])) >= _FEWEST_ROWS:
-                cuts.append(row)
-        starts = np.array(sorted(cuts), dtype=np.intp)
-        return replace(self, runs=Segments(starts, np.append(starts[1:], len(self.u))))
+        moves = np.abs(np.diff(self.u, axis=0))
+        still = moves == 0.0
+        moves[self.runs.starts[1:] - 1] = moves.max(axis=0)
+        beside = np.pad(moves, ((1, 1), (0, 0)), mode="maximum")
+        more = np.maximum(moves - np.maximum(beside[:-2], beside[2:]), 0.0)
+        jumps = (more > _SPIKE * _usual(more, self.u)) | (np.minimum(beside[:-2], beside[2:]) == 0)
+        return replace(self, held=self.held | np.all(jumps | still, axis=0), open=jumps & ~still)
 
 
 def _several(values: Any) -> bool:
