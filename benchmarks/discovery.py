@@ -274,7 +274,7 @@ def _lacked(model: SparseDynamics, wanted: list[set[str]]) -> str:
     support = [
         s * n + i
         for s, terms in enumerate(wanted)
-        if s not in model.given_states_
+        if model.state_names_[s] not in (model.known or {})
         for i, name in enumerate(model.candidate_terms_)
         if name in terms
     ]
