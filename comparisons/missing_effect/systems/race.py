@@ -114,14 +114,16 @@ def _begun(bench: Bench, probe: Probe) -> Fit:
     for placed in probe.added:
         structure = structure.with_effect(placed)
 
-    most = MOST_ITERATIONS if probe.placed.effect.begins_afresh else FIRST_LAP
     # A rim that one step brings nearest may still be far: of three starts the spilling tanks' fit
     # went on from that one to -440, and from the others to -510 and -518.
     laps = (
-        fit_runs(structure, bench.train, bench.raw, theta, bench.fit.starts, most=most)
+        fit_runs(structure, bench.train, bench.raw, theta, bench.fit.starts, most=FIRST_LAP)
         for theta in _beginnings(bench, probe, structure)
     )
-    return min(laps, key=lambda fit: fit.cost)
+    best = min(laps, key=lambda fit: fit.cost)
+    if best.failed or not probe.placed.effect.begins_afresh:
+        return best
+    return best.again(bench.train, bench.raw, most=MOST_ITERATIONS)
 
 
 def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
