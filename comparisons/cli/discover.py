@@ -87,7 +87,8 @@ def run(given: argparse.Namespace) -> Iterable[str]:
 
 def _with_files(words: str, files: Sequence[Path]) -> str:
     """Write the files in place of the numbers of trajectories."""
-    return re.sub(r"([xu] of )?trajectory (\d+)", lambda m: str(files[int(m[2])]), words)
+    named = {str(number): str(path) for number, path in enumerate(files)}
+    return re.sub(r"([xu] of )?trajectory (\d+)", lambda m: named.get(m[2], m[0]), words)
 
 
 def _loop(given: argparse.Namespace) -> Iterable[str]:
