@@ -118,7 +118,7 @@ SYSTEMS: dict[str, tuple[Model, tuple[str, ...], tuple[str, ...]]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", default=list(SYSTEMS), help="names of systems")
+    parser.add_argument("--only", nargs="+", choices=SYSTEMS, default=list(SYSTEMS))
     args = parser.parse_args()
     for name in args.only:
         model, fit, check = SYSTEMS[name]
