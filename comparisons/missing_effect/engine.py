@@ -273,6 +273,10 @@ class System(ABC, Generic[A, F]):
         """Return what the model leaves with a winner; None where that is tested at the end."""
         return None
 
+    def leaves_nothing(self, candidate: Candidate[A, F]) -> bool:
+        """Tell whether a candidate surely leaves nothing more to be found."""
+        return False
+
     def stand_ins(
         self, one: A, step: Round[A, F] | None, effects: Sequence[Any]
     ) -> tuple[Candidate[A, F], ...]:

@@ -117,7 +117,11 @@ def _winner(
         beside += [c for c in names if _corrects_the_same(system, c, best)]
         name = max(beside, key=lambda c: c.rank, default=best)
         rivalled = best.rank - name.rank > RIVALLED
-        best = name
+        # Where a term leaves nothing they can: a rudder's cubic damping was called a softening one.
+        if rivalled and system.leaves_nothing(best):
+            rivalled = False
+        else:
+            best = name
     pool = standing if best.unnamed and policy.terms_stand else names
     if policy.refused_stand:
         pool = list(ranked)

@@ -172,6 +172,10 @@ class ModelSystem(Bench, System[Placed, Fit]):
         """Return a candidate with its evidence; one that could not be simulated has none."""
         return candidate if candidate.fit.failed else super().weighed(candidate)
 
+    def leaves_nothing(self, candidate: ModelCandidate) -> bool:
+        """Tell whether the errors of a candidate are white."""
+        return not candidate.fit.failed and not metric_of(candidate.fit.errors).lost
+
     def judged(self, candidate: ModelCandidate) -> ModelCandidate:
         """Say of a candidate whether it vanished or grows, and what it wins in plain errors."""
         raw = candidate.onward

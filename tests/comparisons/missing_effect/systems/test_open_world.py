@@ -37,9 +37,9 @@ def slow_signal(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def oscillator(
-    seed: int, n: int, hidden: float, colour: str = "white", slew: float = np.inf, rub: float = 0.0
+    seed: int, n: int, hidden: float, slow: bool = False, slew: float = np.inf, rub: Any = (0, 1)
 ) -> Experiment:
-    """x'' = u − 0.3 x' − x + hidden·x²·x' − rub ± √abs(x'), read with 1 % of noise."""
+    """x'' = u − 0.3 x' − x + hidden·x²·x' − rub ± abs(x')ⁿ, read with 1 % of noise."""
     rng = np.random.default_rng(seed)
     asked = 1.5 * slow_signal(rng, n)
     u = asked.copy()
@@ -52,7 +52,7 @@ def oscillator(
             at = [u[k] + (u[min(k + 1, n - 1)] - u[k]) * (part + s) / 10.0 for s in (0.0, 0.5, 1.0)]
 
             def rate(y: np.ndarray, push: float) -> np.ndarray:
-                push += hidden * y[0] ** 2 * y[1] - rub * np.sign(y[1]) * np.sqrt(abs(y[1]))
+                push += hidden * y[0] ** 2 * y[1] - rub[0] * np.sign(y[1]) * abs(y[1]) ** rub[1]
                 return np.array([y[1], push - 0.3 * y[1] - y[0]])
 
             h = PERIOD_S / 10.0
@@ -60,7 +60,7 @@ def oscillator(
             for share, push in ((0.5, at[1]), (0.5, at[1]), (1.0, at[2])):
                 slopes.append(rate(state + share * h * slopes[-1], push))
             state = state + h / 6.0 * np.dot([1.0, 2.0, 2.0, 1.0], slopes)
-    noise = rng.standard_normal(n) if colour == "white" else slow_signal(rng, n)
+    noise = slow_signal(rng, n) if slow else rng.standard_normal(n)
     return Experiment(f"run {seed}", PERIOD_S, {"u": asked, "y": x + 0.01 * np.std(x) * noise})
 
 
@@ -105,7 +105,7 @@ def test_a_spring_that_was_forgotten_is_a_term_in_proportion() -> None:
 
 
 def test_noise_as_slow_as_the_system_itself_gets_no_name() -> None:
-    assert diagnose_model(LINEAR, oscillator(43, 1200, 0.0, "slow")).missing == ()
+    assert diagnose_model(LINEAR, oscillator(43, 1200, 0.0, slow=True)).missing == ()
 
 
 def under_noise(share: float, size: float = 0.5) -> Experiment:
@@ -142,9 +142,19 @@ def test_a_drive_that_slews_is_no_firm_lag() -> None:
     assert (firm(found), found.verdict == "nothing_missing") == ([], False)
 
 
-def test_a_friction_that_does_not_jump_is_not_coulombs() -> None:
-    runs = [oscillator(seed, n, 0.0, rub=0.5) for seed, n in ((46, 1500), (96, 800))]
-    assert not [label for label in firm(diagnose_model(LINEAR, *runs)) if "coulomb" in label]
+def test_a_friction_by_another_power_has_no_false_name() -> None:
+    """By √v it is not Coulomb's; by v³ no softening damping of the wrong sign, but that term."""
+    found = [
+        diagnose_model(LINEAR, *(oscillator(s, n, 0.0, rub=rub) for s, n in runs))
+        for rub, runs in (
+            ((0.5, 0.5), ((46, 1500), (96, 800))),
+            ((0.1, 3), ((48, 1500), (98, 800))),
+        )
+    ]
+    assert not [label for label in firm(found[0]) if "coulomb" in label]
+    assert firm(found[1]) == ["open_cube(v³) in dv/dt"]
+    (c,) = found[1].missing[0].parameters
+    assert abs(c.value + 0.1) < 3.0 * c.stderr < 0.01
 
 
 MOTOR = Model(
