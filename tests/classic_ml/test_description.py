@@ -64,11 +64,7 @@ def read(folder: Path, tables: dict[str, Any]) -> TestDescription:
         (f"{CHANNEL}/reference_Pa", 1e5, f"{PROBE}.reference_Pa: expected none beside"),
         ("channels/T31_A/unit", "psi", "channels.T31_A.unit: expected a unit of temperature"),
         (f"{CHANNEL}/kind", "flow", f'{PROBE}.kind: expected "pressure" or "temperature"'),
-        (
-            f"{CHANNEL}/facing",
-            "forward",
-            "one forward .*B_hub_forward.*B_hub_aft.* stated twice",
-        ),
+        (f"{CHANNEL}/facing", "forward", "one forward .*B_hub_forward.*B_hub_aft.* stated twice"),
         (f"{CHANNEL}/probe_slope", 1.5, "probe_slope: expected that of its mate"),
         (f"{CHANNEL}/column", "T25_A", "a column of its own, found 'T25_A'"),
         ("channels/T25_A/time_constant", 0.01, "'time_constant' .is 'time_constant_s' meant"),

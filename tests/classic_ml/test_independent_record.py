@@ -76,9 +76,7 @@ def test_near_stall_flow_is_112_lbm_s_and_the_same_at_both_planes(paper: Reducti
     assert ratio == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_window_is_found_where_the_cycles_repeat(
-    raw: tuple[Record, TestDescription],
-) -> None:
+def test_the_window_is_found_where_the_cycles_repeat(raw: tuple[Record, TestDescription]) -> None:
     reduction = reduce_record(*raw)
     entry = next(e for e in reduction.record.history if e.step == "window")
     start, stop = reduction.window_s

@@ -43,12 +43,7 @@ def test_bic_finds_the_right_orders(truth: str) -> None:
         lag = seed % 3
         X, y, labels = record(seed, c, lag, n=250)
         table = select_order(
-            X,
-            y,
-            labels,
-            sample_period_s=PERIOD_S,
-            input_lags=(0, 1, 2),
-            degrees=(2, 3),
+            X, y, labels, sample_period_s=PERIOD_S, input_lags=(0, 1, 2), degrees=(2, 3)
         )
         best = table.rows[0]
         assert best.bic == 0.0

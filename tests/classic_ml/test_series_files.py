@@ -112,10 +112,7 @@ def cell(row: int, column: str, value: object) -> Edit:
         (cell(11, "psi_p", None), "column psi_p: .* an empty cell in row 12"),
         (cell(11, "psi_p", "inf"), "column psi_p: .* inf in row 12"),
         (cell(11, "psi_p", "1,5"), "column psi_p: .* found '1,5' in row 12"),
-        (
-            lambda t: t.assign(in_stall="yes"),
-            "in_stall: expected 0 or 1, found 'yes'",
-        ),
+        (lambda t: t.assign(in_stall="yes"), "in_stall: expected 0 or 1, found 'yes'"),
     ],
 )
 def test_a_bad_series_file_is_refused(tmp_path: Path, edit: Edit, words: str) -> None:

@@ -365,9 +365,7 @@ def test_gas_that_the_duct_stores_widens_the_interval_of_both_readings(
     assert shares[0] == pytest.approx(math.hypot(shares[1], 0.08))
 
 
-def test_a_ramp_in_the_law_of_the_probes_moves_only_what_is_near_zero(
-    signals: RakeSignals,
-) -> None:
+def test_a_ramp_in_the_law_of_the_probes_moves_only_what_is_near_zero(signals: RakeSignals) -> None:
     moved = signals.ramped(0.03)
     for name, flow in signals.flow_kg_s.items():
         apart = np.abs(moved.flow_kg_s[name] - flow)

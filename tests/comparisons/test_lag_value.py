@@ -89,13 +89,7 @@ def test_the_error_of_a_free_run_is_that_of_records_measured_again() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "not json",
-        "[]",
-        '{"schema": "sindy-surge/model/2", "models": {}}',
-    ],
+    "text", ["", "not json", "[]", '{"schema": "sindy-surge/model/2", "models": {}}']
 )
 def test_what_is_not_a_model_file_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "m.json"

@@ -60,9 +60,7 @@ def test_the_curve_of_the_independent_record(
 
 
 @needs_independent
-def test_its_time_constant_is_right_and_inside_the_stated_interval(
-    independent: Comparison,
-) -> None:
+def test_its_time_constant_is_right_and_inside_the_stated_interval(independent: Comparison) -> None:
     model = independent.result("classic_ml").model
     assert abs(model.time_constant_s - TAU_S) < 0.002
     low, high = model.ci95_s

@@ -76,10 +76,7 @@ def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
     ],
 )
 def test_bad_options_are_named(
-    options: tuple[object, ...],
-    named: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    options: tuple[object, ...], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw = folder(tmp_path, "90", 0)
     assert named in refused(capsys, "work", raw / "raw.csv", "--test", raw / "test.toml", *options)

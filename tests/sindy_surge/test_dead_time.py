@@ -28,12 +28,7 @@ def _late(curve: str, noise: float, seed: int, samples: float) -> tuple[np.ndarr
 
 @pytest.mark.parametrize(
     ("curve", "noise", "samples"),
-    [
-        ("quadratic", 0.01, 1.0),
-        ("hinge", 0.02, 2.0),
-        ("reverse", 0.02, -1.0),
-        ("cubic", 0.02, 0.5),
-    ],
+    [("quadratic", 0.01, 1.0), ("hinge", 0.02, 2.0), ("reverse", 0.02, -1.0), ("cubic", 0.02, 0.5)],
 )
 def test_late_channel_is_found_with_its_structure(curve: str, noise: float, samples: float) -> None:
     phi, psi_p = _late(curve, noise, 1, samples)

@@ -55,9 +55,7 @@ def test_structure_is_found_at_two_per_cent(many: list[tuple[str, SparseLagRegre
     assert all(set(model.terms_) == set(TERMS[curve]) for curve, model in many)
 
 
-def test_tau_is_unbiased_and_its_error_honest(
-    many: list[tuple[str, SparseLagRegressor]],
-) -> None:
+def test_tau_is_unbiased_and_its_error_honest(many: list[tuple[str, SparseLagRegressor]]) -> None:
     tau = np.array([model.time_constant_s_ for _, model in many])
     stderr = np.array([model.time_constant_stderr_s_ for _, model in many])
     z = (tau - TAU_S) / stderr

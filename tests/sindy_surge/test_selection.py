@@ -35,13 +35,7 @@ def test_beam_search_equals_exhaustive_search() -> None:
 
 
 @pytest.mark.parametrize(
-    "optimizer",
-    [
-        "SSR",
-        "STLSQ",
-        SSR(alpha=0.0, max_iter=9),
-        STLSQ(threshold=0.7, alpha=0.0),
-    ],
+    "optimizer", ["SSR", "STLSQ", SSR(alpha=0.0, max_iter=9), STLSQ(threshold=0.7, alpha=0.0)]
 )
 def test_every_optimizer_meets_the_truth(optimizer: object) -> None:
     assert (1, 4, 7) in proposed_supports(_problem(), optimizer, 6)

@@ -100,11 +100,7 @@ def run_in(folder: Path, command: str) -> Answer:
     """Run a command of ``sindy-surge`` in a folder, in this process."""
     before = _contents(folder)
     out, err = io.StringIO(), io.StringIO()
-    with (
-        _working_in(folder),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
+    with _working_in(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code = main(shlex.split(command))
         except SystemExit as stop:

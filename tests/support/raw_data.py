@@ -165,13 +165,7 @@ def make_test(
                     name = f"P{plane}_{rake}_{immersion}_{facing}"
                     table = pressure_table(plane, rake, immersion, facing, slope, offset, rng)
                     channels[name] = table
-                    columns[name] = to_counts(
-                        pressure,
-                        table,
-                        rng,
-                        noise_counts,
-                        quantise,
-                    )
+                    columns[name] = to_counts(pressure, table, rng, noise_counts, quantise)
             name = f"T{plane}_{rake}"
             channels[name] = {
                 "kind": "temperature",

@@ -93,10 +93,7 @@ GIVEN: dict[str, dict[str, Any]] = {
             "R": P(2.0, 0.1, 50.0, "Ω"),
             "C": P(3e-3, 1e-4, 2e-2, "F"),
         },
-        "rhs": lambda t, x, u, p: (
-            (u.v - p.R * x.current - x.v_C) / p.L,
-            x.current / p.C,
-        ),
+        "rhs": lambda t, x, u, p: ((u.v - p.R * x.current - x.v_C) / p.L, x.current / p.C),
         "output": lambda t, x, u, p: x.current,
         "name": "circuit",
     },

@@ -148,12 +148,7 @@ def tanks(
 
 
 def pipe(
-    seed: int,
-    n: int = 2000,
-    *,
-    drag: float = 0.0,
-    asymmetric: float = 0.0,
-    noise: float = 0.01,
+    seed: int, n: int = 2000, *, drag: float = 0.0, asymmetric: float = 0.0, noise: float = 0.01
 ) -> dict[str, np.ndarray]:
     """Pressure p in kPa, flow Q in dm³/s; ``drag`` in kPa/(dm³/s)² against Q|Q|."""
     rng = np.random.default_rng(seed)
@@ -231,10 +226,7 @@ def body(
         return [v, dv, dz, followed]
 
     states = integrated(slopes, [0.05, 0.0, 0.0, drawn(0.0)], n, BODY_PERIOD_S, substeps=16)
-    made = {
-        "F": sampled(drawn, n, BODY_PERIOD_S),
-        "q": noisy(sensor(states[:, 0]), noise, rng),
-    }
+    made = {"F": sampled(drawn, n, BODY_PERIOD_S), "q": noisy(sensor(states[:, 0]), noise, rng)}
     if with_speed:
         made["v"] = noisy(states[:, 1], noise, rng)
     return made

@@ -139,11 +139,7 @@ def saturation(truth: Truth, psi: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("sensor_quadratic", quadratic),
-        ("sensor_saturation", saturation),
-    ],
+    ("name", "shown"), [("sensor_quadratic", quadratic), ("sensor_saturation", saturation)]
 )
 def test_effect_on_the_output(name: str, shown: Callable[[Truth, FloatArray], FloatArray]) -> None:
     truth = Truth(name)

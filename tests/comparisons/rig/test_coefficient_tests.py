@@ -151,11 +151,7 @@ def test_records_in_segments() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "where"),
-    [
-        ({"effect": "x_quad"}, "x_quad"),
-        ({"n_samples": 99}, "n_samples"),
-    ],
+    ("asked", "where"), [({"effect": "x_quad"}, "x_quad"), ({"n_samples": 99}, "n_samples")]
 )
 def test_what_cannot_be_simulated_is_refused(asked: dict[str, object], where: str) -> None:
     with pytest.raises(InputError, match=where):
