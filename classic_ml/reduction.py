@@ -38,6 +38,7 @@ from classic_ml.segments import (
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
 from classic_ml.whole_record.rakes import RakeSignals, rake_signals
+from classic_ml.work.alignment import alignment_of
 from classic_ml.work.balance import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
@@ -158,6 +159,9 @@ def reduce_record(
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
     del averaged
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
+    alignment = alignment_of(reduced, test, window.rows)
+    reduced = reduced.after(alignment.entry())
+    rakes = replace(rakes, chain=replace(rakes.chain, alignment=alignment))
     progress(1)
     return Reduction(_series(reduced, rakes), reduced, chosen, test, window.times_s)
 

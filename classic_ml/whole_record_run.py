@@ -87,6 +87,8 @@ class WholeRecordRun(WholeRunFit):
     def cautions_(self) -> tuple[str, ...]:
         """What the interval lacks, and what τ hangs on beside the record."""
         found = [self.left_open_] if self.left_open_ else []
+        if self.fit_state_ is FitState.MISALIGNED:
+            found += [fit.reading.signals.chain.alignment.words for fit in self.fits_]
         if not all(fit.twins.n for fit in self.fits_):
             found.append(
                 "no twins were measured: the interval of τ lacks the errors of calibration and of "

@@ -83,8 +83,8 @@ class FitState(StrEnum):
     )
     MISALIGNED = (
         "misaligned",
-        "With plane 31 moved in time against plane 25 the record is explained better, and with "
-        "another time constant by more than its standard deviation: a delay would be read as the "
+        "By the flows of both planes plane 31 is recorded late or early against plane 25, which "
+        "moves the time constant by more than its standard deviation: a delay would be read as the "
         "lag. Check that all channels share one clock.",
     )
     STATES_PART = (

@@ -6,7 +6,7 @@ With what lies between the air and the readings of each pair, as it travels with
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -23,15 +23,20 @@ from classic_ml.flow import (
 )
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
+from classic_ml.work.alignment import Alignment
 from surge_core.types import BoolArray, FloatArray
 
 STEP = "rakes"
 # Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
 LARGEST_SHARE = 0.98
-_MACHINE = "compressor."
+_MACHINE, _ALIGNMENT = "compressor.", "alignment."
 # What the ledger carries of a pair, in the order of its fields.
 _OF_PAIR = ("slope", "offset", "noise_Pa", "noise_aft_Pa")
 _Parameters = Mapping[str, str | int | float | bool]
+
+
+def _numbers_under(head: str, given: _Parameters) -> dict[str, float]:
+    return {k.removeprefix(head): float(v) for k, v in given.items() if k.startswith(head)}
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,7 @@ class Chain:
     rotor_speed_rpm: float  # Physical speed, and 100 % corrected speed
     design_corrected_speed_rpm: float
     near_stall_rows: int  # Rows of the reading to which the channels were matched
+    alignment: Alignment = field(default_factory=Alignment)  # Of plane 31 with plane 25
 
     @property
     def rotor_velocity_m_s(self) -> float:
@@ -98,6 +104,7 @@ class Chain:
         }
         parameters |= {f"area_{plane}_m2": area for plane, area in self.areas_m2.items()}
         parameters |= {f"{_MACHINE}{k}": v for k, v in self.compressor.model_dump().items()}
+        parameters |= {f"{_ALIGNMENT}{k}": v for k, v in asdict(self.alignment).items()}
         for pair in self.pairs:
             parameters |= {f"{pair.name}.{what}": getattr(pair, what) for what in _OF_PAIR}
         did = (
@@ -114,15 +121,15 @@ class Chain:
             PairChain(name, *(float(given[f"{name}.{what}"]) for what in _OF_PAIR))
             for name in names
         )
-        machine = {k.removeprefix(_MACHINE): v for k, v in given.items() if k.startswith(_MACHINE)}
         areas = {int(k[5:-3]): float(v) for k, v in given.items() if k.startswith("area_")}
         return cls(
             pairs,
             areas,
-            Compressor.model_validate(machine),
+            Compressor.model_validate(_numbers_under(_MACHINE, given)),
             float(given["rotor_speed_rpm"]),
             float(given["design_corrected_speed_rpm"]),
             int(given["near_stall_rows"]),
+            Alignment(**_numbers_under(_ALIGNMENT, given)),
         )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from classic_ml.coefficients import PSI_MINIMUM_PHI, psi_is_known, work_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
-from classic_ml.flow import choked_flow, corrected_from_physical
+from classic_ml.flow import choked_flow, corrected_from_physical, physical_flow
 from classic_ml.intervals import bridged
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from surge_core.types import BoolArray, FloatArray
@@ -147,8 +147,12 @@ def flat_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> 
     return np.asarray(2.0 * once - period_average(once, period_s, sample_rate_hz))
 
 
-def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
+def exit_flow_at_inlet(
+    record: Record, test: TestDescription, exit_K: FloatArray | None = None
+) -> FloatArray:
     """Return W25 as plane 31 shows it, by the mass balance of what lies between.
+
+    T31 is the record's, or ``exit_K``.
 
     W31 + κ V_c/(R T̄) dP31/dt, κ = ``EXIT_WEIGHT``, T̄ the mean of T25 and T31. The measured planes
     agree with this form: on the 90 % record W25 − W31 goes with dP31/dt by 0.5 to 0.7 of
@@ -156,10 +160,14 @@ def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
     blading's own pressure stores the gas).
     """
     machine = test.compressor
-    mean_K = 0.5 * (record["T25_K"] + record["T31_K"])
+    if exit_K is None:
+        exit_K, flow = record["T31_K"], record["W31_kg_s"]
+    else:
+        flow = physical_flow(record["Wc31_kg_s"], record["P31_Pa"], exit_K)
+    mean_K = 0.5 * (record["T25_K"] + exit_K)
     rate_Pa_s = np.gradient(record["P31_Pa"], record.sample_period_s)
     volume = EXIT_WEIGHT * machine.internal_volume_m3 / machine.gas_constant_J_kg_K
-    return np.asarray(record["W31_kg_s"] + volume / mean_K * rate_Pa_s)
+    return np.asarray(flow + volume / mean_K * rate_Pa_s)
 
 
 def impossible_rows(record: Record, test: TestDescription) -> BoolArray:

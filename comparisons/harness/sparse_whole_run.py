@@ -245,7 +245,7 @@ def measurement_spread(readings: Sequence[RecordReading | None] | None) -> Sprea
     for reading in filter(None, readings):
         try:
             fit = reading.fit()
-            planes = from_plane_to_plane(reading, fit)[2]
+            planes = from_plane_to_plane(reading, fit)[1]
             log_tau = math.hypot(planes.log_tau, law_of_probes(reading, fit))
         except InputError:
             return Spread(math.inf, np.zeros((1, 1)))

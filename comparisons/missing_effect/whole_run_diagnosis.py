@@ -12,14 +12,15 @@ from classic_ml.whole_record_fit import LARGEST_SHARE
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, LagCandidate
 from comparisons.missing_effect.catalogue import NAMELESS, find_effect
-from comparisons.missing_effect.conclusion import concluded, missing_effect
+from comparisons.missing_effect.conclusion import AliasSets, concluded, missing_effect
 from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_result import LagDiagnosis, ReverseLoss
 from comparisons.missing_effect.loading import block_rows, readings_of, whole_data
 from comparisons.missing_effect.quantities import size_words
 from comparisons.missing_effect.results import LEAST_SIZE, SIZE, Absent, Untold
-from comparisons.missing_effect.search import alias_sets, search
+from comparisons.missing_effect.search import alias_sets, search, verdict_of
+from comparisons.missing_effect.whole_run_alignment import PlaneTiming
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     FEWEST_TWINS,
@@ -87,7 +88,9 @@ def diagnose_whole_runs(
     # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
-    effects, blind = ([], effects) if line else (effects, [])
+    timing = PlaneTiming.of([one.signals.chain.alignment for one in readings], effects)
+    effects = [e for e in effects if e not in timing.refuted]
+    effects, blind = ([], effects) if line or timing.slow else (effects, [])
     base = plain_bench(data, readings, terms, len(effects), block_rows(data))
     if n_twins and effects:
         leader = _of_leader(base, effects)
@@ -97,7 +100,9 @@ def diagnose_whole_runs(
         base = replace(base, nulls=nulls)
     nulls = base.nulls
     bench, rounds = search(base, effects, (), most_effects)
-    sets = alias_sets(bench, rounds, effects)
+    sets: AliasSets = alias_sets(bench, rounds, effects)
+    if timing.slow:
+        bench, rounds, sets = timing.named(base)
     much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     otherwise = "unexplained_structure" if much and n_twins else "nothing_missing"
     diagnosis = concluded(
@@ -112,7 +117,9 @@ def diagnose_whole_runs(
     diagnosis = _with_shared(diagnosis, nulls)
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
-        item
+        timing.judged(item)
+        if timing.found.late
+        else item
         if item.provisional
         or not (
             why := _doubt(i, sets[item.effect], base)
@@ -121,13 +128,15 @@ def diagnose_whole_runs(
         else item.doubted(why)
         for i, item in enumerate(diagnosis.missing)
     )
-    verdict = diagnosis.verdict
+    verdict = verdict_of(missing, diagnosis.verdict) if timing.slow else diagnosis.verdict
     if missing and all(item.provisional for item in missing):
         verdict = "provisional"
     named = {name for item in missing if not item.provisional for name in item.alias_set}
     others = [e for e in (*effects, *blind) if e.name not in named]
     untold, absent = _decided(others, nulls)
-    if blind:
+    if timing.slow:
+        untold = timing.untold(others)
+    if line:
         untold = tuple(Untold(e.name, SECOND_PATTERN, WITHOUT_PATTERN) for e in others)
     diagnosis = replace(
         diagnosis,
@@ -136,7 +145,7 @@ def diagnose_whole_runs(
         unavailable=unavailable,
         catalogue=tuple(catalogue),
         untold=untold,
-        absent=tuple(one for one in absent if one.effect not in diagnosis.names),
+        absent=tuple(one for one in (*timing.absent, *absent) if one.effect not in diagnosis.names),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench, bool(n_twins)), line, bool(n_twins))
 

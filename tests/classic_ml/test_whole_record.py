@@ -14,7 +14,7 @@ from classic_ml.calibration import calibrate
 from classic_ml.flow import local_flows
 from classic_ml.io.series import read_series, write_series
 from classic_ml.record_reading import RecordReading
-from classic_ml.records import Channel, Record
+from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import Specification, fit_branches
@@ -24,6 +24,7 @@ from classic_ml.whole_record.stall_state import StallLevels, estimated_state, st
 from classic_ml.whole_record_fit import fit_whole_record, jackknife, variants, with_stored_gas
 from classic_ml.whole_record_run import WholeRecordRun, _combined, _curve_at, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
+from classic_ml.work.alignment import ON_TIME_S
 from comparisons.missing_effect import diagnose
 from comparisons.rig import CASES, SensorSettings
 from surge_core.errors import InputError
@@ -251,7 +252,6 @@ def test_what_is_not_known_is_not_printed(
         (replace(fit, n_cycles=4), FitState.TOO_FEW_CYCLES),
         (biased, FitState.TWIN_BIASED),
         (replace(fit, fit=replace(fit.fit, at_end=True)), FitState.AT_SEARCH_END),
-        (replace(fit, delay=(0.004, 2.0 * fit.share)), FitState.MISALIGNED),
     ):
         found = _combined([series], (wrong,), None)
         assert found.fit_state_ is state
@@ -326,18 +326,22 @@ def test_one_immersion_states_no_time_constant() -> None:
         diagnose([series])
 
 
-def late(signals: RakeSignals, rows: int) -> RakeSignals:
-    total = {n: np.roll(v, rows) if n[:2] == "31" else v for n, v in signals.total_Pa.items()}
-    return replace(signals, total_Pa=total)
-
-
-def test_a_late_plane_is_reported_and_withholds(
-    signals: RakeSignals, fitted: WholeRecordRun
-) -> None:
-    assert abs(fitted.fits_[0].delay[0]) < 0.001
-    fit = fit_whole_record(late(signals, 5), n_twins=0)
-    assert fit.delay[0] == pytest.approx(0.005, abs=0.0021)
-    assert fit.state is FitState.MISALIGNED
+@pytest.mark.parametrize("rows", [-3, 0, 3, 8])
+@pytest.mark.parametrize("case", ["985", "90"])
+def test_a_late_plane_shows_in_its_flow_and_withholds(case: str, rows: int) -> None:
+    """Whatever τ is: no lag of ψ' is in the flows."""
+    raw, test = rig_record(case, 72)
+    late = [channel for channel in raw.channels if channel.startswith("P31")]
+    at = np.clip(np.arange(raw.n_samples) - rows, 0, raw.n_samples - 1)
+    moved = [replace(raw.channel(n), values=raw[n][at]) for n in late]
+    entry = LedgerEntry("late", "plane 31 moved in time")
+    series = reduce_record(raw.without(late).after(entry, add=moved), test).series
+    fit = fit_whole_records([series], n_twins=2)
+    assert isinstance(fit, WholeRecordRun)
+    alignment = fit.fits_[0].reading.signals.chain.alignment
+    assert alignment.late_s == pytest.approx(rows * PERIOD_S, abs=ON_TIME_S)
+    assert (fit.fit_state_ is FitState.MISALIGNED) is bool(rows)
+    assert any("late" in caution or "early" in caution for caution in fit.cautions_) is bool(rows)
 
 
 def test_gas_that_the_duct_stores_widens_the_interval_of_both_readings(

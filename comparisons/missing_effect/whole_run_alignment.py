@@ -1,0 +1,110 @@
+"""A plane that is recorded late: named by the flows of both planes, in which is no lag of ψ'."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from classic_ml.work.alignment import ACCURACY_S, ON_TIME_S, STANDARD_ERRORS, Alignment
+from comparisons.missing_effect.candidates import LagCandidate, LagRound
+from comparisons.missing_effect.catalogue import NAMELESS
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.results import Absent, MissingEffect, Untold
+from comparisons.missing_effect.whole_runs import WholeRuns
+
+DELAY, LAG = "transport_delay", "second_order_lag"
+LATE_PLANE = "what a late plane leaves takes other names"
+WITHOUT_DELAY = "the same records with plane 31 on the clock of plane 25"
+NO_NAME = "by the flows plane 31 is late, {} would do as well, and has no name in the catalogue"
+
+Named = tuple[WholeRuns, list[LagRound], dict[Hashable, tuple[LagCandidate, ...]]]
+
+
+@dataclass(frozen=True)
+class PlaneTiming:
+    """What the flows of both planes say of the names for a plane that is late.
+
+    Parameters
+    ----------
+    found : Alignment
+        Of all records: they share a recorder.
+    slow : tuple of Effect
+        What can have made plane 31 late, the likelier first; empty where it is on time.
+    nameless : str
+        What can, and has no name among the effects that compete; empty for nothing.
+    refuted : tuple of Effect
+        What cannot be there, since plane 31 is on time.
+    """
+
+    found: Alignment
+    slow: tuple[Effect, ...]
+    nameless: str
+    refuted: tuple[Effect, ...]
+
+    @classmethod
+    def of(cls, each: Sequence[Alignment], effects: Sequence[Effect]) -> Self:
+        """Hold the alignment of the records of a test against the effects that compete."""
+        values = np.array([(one.late_s, one.stderr_s, one.lag_z) for one in each])
+        late_s, stderr_s, lag_z = np.mean(values, axis=0).tolist()
+        found = Alignment(late_s, max(stderr_s, float(np.std(values[:, 0]))), lag_z)
+        by_name, names = {effect.name: effect for effect in effects}, _slow_names(found)
+        return cls(
+            found,
+            tuple(_as_late(by_name[name], found) for name in names if name in by_name),
+            next((NO_NAME.format(NAMELESS[name]) for name in names if name not in by_name), ""),
+            (by_name[DELAY],) if found.known and not names and DELAY in by_name else (),
+        )
+
+    def named(self, bench: WholeRuns) -> Named:
+        """Return a model with the first of them, its round, and all as its alias set."""
+        order = [effect.name for effect in self.slow]
+        tried = [bench.weighed(candidate) for candidate in bench.tried(self.slow).candidates]
+        aliases = tuple(sorted(tried, key=lambda candidate: order.index(candidate.name)))
+        step = LagRound(bench, aliases, aliases[0], aliases, leftover=bench.leftover(None, (), ()))
+        return bench.with_winner(step), [step], {aliases[0].added[0].key: aliases}
+
+    def judged(self, item: MissingEffect) -> MissingEffect:
+        """Return an effect that is firm by the flows; of a delay they give the number, too."""
+        numbers = item.parameters
+        if item.effect == DELAY:
+            stderr = float(np.hypot(self.found.stderr_s, ACCURACY_S))
+            numbers = (replace(numbers[0], value=self.found.late_s, stderr=stderr),)
+        evidence = {**item.evidence, "late_by_flows_s": self.found.late_s}
+        sure = replace(item, parameters=numbers, evidence=evidence, provisional=False, doubts=())
+        return sure.doubted(self.nameless) if self.nameless else sure
+
+    def untold(self, effects: Sequence[Effect]) -> tuple[Untold, ...]:
+        """Return the effects about which records with a late plane decide nothing."""
+        return tuple(Untold(effect.name, LATE_PLANE, WITHOUT_DELAY) for effect in effects)
+
+    @property
+    def absent(self) -> tuple[Absent, ...]:
+        """What would have been seen, and from which size on."""
+        return tuple(Absent(effect.name, "d", ON_TIME_S, "s") for effect in self.refuted)
+
+
+def _slow_names(found: Alignment) -> tuple[str, ...]:
+    """Return what can have made plane 31 late, or plane 25, the likelier first.
+
+    A lag of its pressures makes its flow late, too. The shape of its flow speaks against one, never
+    for one: on machines drawn at random a shift explained none of 12 lags better, a lag 4 of 23
+    shifts.
+    """
+    if not found.late:
+        return ()
+    if found.late_s < 0.0 or found.lag_z < -STANDARD_ERRORS:
+        return (DELAY,)
+    return (LAG, DELAY) if found.lag_z > 0.0 else (DELAY, LAG)
+
+
+def _as_late(effect: Effect, found: Alignment) -> Effect:
+    """Return a delay within what the flows leave open."""
+    if effect.name != DELAY:
+        return effect
+    delay, *others = effect.parameters
+    reach_s = ON_TIME_S + STANDARD_ERRORS * found.stderr_s
+    bounded = replace(delay, low=found.late_s - reach_s, high=found.late_s + reach_s)
+    return replace(effect, parameters=(bounded, *others))
