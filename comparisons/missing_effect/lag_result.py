@@ -382,7 +382,8 @@ class LagDiagnosis(Diagnosis):
     def not_fitted(self) -> tuple[Effect, ...]:
         """The effects that were tested and promised too little to be worth a fit."""
         fitted = {e.name for step in self.rounds for c in step.candidates for e in c.added}
-        known = fitted | self.unavailable.keys() | {row.effect for row in self.untold}
+        decided = {row.effect for row in self.untold} | {row.effect for row in self.absent}
+        known = fitted | self.unavailable.keys() | decided
         return tuple(
             effect
             for effect in self.catalogue

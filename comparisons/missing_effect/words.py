@@ -156,10 +156,12 @@ def ledger_words(d: Diagnosis) -> tuple[str, ...]:
     absent = ", ".join(f"{plain_name(a.effect)} ({size_words(a.size, a.unit)})" for a in d.absent)
     lead = "These effects are absent; each would have been seen from the size in brackets on"
     out = [f"{lead}: {absent}."] if absent else []
+    alike: dict[tuple[str, str], list[str]] = {}
+    for u in d.untold:
+        alike.setdefault((u.why, u.what_would_tell), []).append(plain_name(u.effect))
     out += [
-        f"These records cannot decide about {plain_name(u.effect)}: {u.why}. What would decide: "
-        f"{u.what_would_tell}."
-        for u in d.untold
+        f"These records cannot decide about {_listed(names)}: {why}. What would decide: {tells}."
+        for (why, tells), names in alike.items()
     ]
     out += d.ledger_said
     reasons: dict[str, list[str]] = {}
