@@ -19,7 +19,6 @@ from classic_ml.whole_record.branches import BranchFit, FreeRun, specifications
 from classic_ml.whole_record.passes import passes_of
 from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import INDEPENDENT_S, state_by_levels
-from classic_ml.work.alignment import ACCURACY_S
 from surge_core.fit_state import FitState
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
@@ -27,6 +26,8 @@ from surge_core.types import FloatArray
 MOST_BLOCKS = 20
 # Eq 2 was calibrated down to about this calculated Mach number; below it is an assumption.
 RAMP_MACH = 0.03
+# The model may prefer plane 31 so many steps later or earlier; beyond, the curves would not fit.
+DELAY_STEP_S, DELAY_STEPS = 1e-3, 6
 
 
 @dataclass(frozen=True)
@@ -96,13 +97,30 @@ def law_of_probes(reading: RecordReading, fit: BranchFit) -> float:
     return math.log(ramped.fit(near_s=fit.tau_s).tau_s / fit.tau_s)
 
 
-def on_time(reading: RecordReading, fit: BranchFit, late_s: float) -> BranchFit:
+def read_later(reading: RecordReading, fit: BranchFit, late_s: float) -> BranchFit:
     """Fit with plane 31 read so much later: a time shift between the planes is read as lag."""
     planes, period_s = reading.passes.planes, reading.passes.sample_period_s
     index = np.arange(planes.exit_Pa.size)
     exit_Pa = np.interp(index + late_s / period_s, index, planes.exit_Pa)
     moved = reading.signals.coefficients(replace(planes, exit_Pa=exit_Pa))
     return _with_psi_p(moved[1], reading, fit)
+
+
+def preferred_shift(reading: RecordReading, fit: BranchFit) -> float:
+    """Return by how much plane 31 seems late to the model, in seconds.
+
+    It is the shift of least error, to a part of a step by the parabola through the three least.
+    """
+    step_s = max(DELAY_STEP_S, reading.passes.sample_period_s)
+    tried = range(-DELAY_STEPS, DELAY_STEPS + 1)
+    costs = [read_later(reading, fit, n * step_s).cost if n else fit.cost for n in tried]
+    best = int(np.argmin(costs))
+    late = float(tried[best])
+    if 0 < best < len(tried) - 1:
+        before, least, after = costs[best - 1 : best + 2]
+        if before + after > 2.0 * least:
+            late += 0.5 * (before - after) / (before - 2.0 * least + after)
+    return late * step_s
 
 
 def with_stored_gas(reading: RecordReading, fit: BranchFit) -> BranchFit:
@@ -121,20 +139,24 @@ def _with_psi_p(psi_p: FloatArray, reading: RecordReading, fit: BranchFit) -> Br
     return reading.with_psi_p(moved).fit(near_s=fit.tau_s)
 
 
-def from_plane_to_plane(reading: RecordReading, fit: BranchFit) -> tuple[float, Scatter]:
-    """Return how far log τ moves without what plane 31 is late, and what Eq 5 leaves open.
+def from_plane_to_plane(
+    reading: RecordReading, fit: BranchFit
+) -> tuple[tuple[float, float], Scatter]:
+    """Return by how much plane 31 is late and how far log τ moves by it, and what Eq 5 leaves open.
 
-    Two moved fits show how far off the truth may be, and no more: between bounds of ± a with
-    nothing known inside the standard deviation is a/√3 (Guide to the Expression of Uncertainty in
-    Measurement, JCGM 100:2008, 4.3.7).
+    The flows say how late it is. Where it is early waves in the duct may do that, and the shift
+    that the model prefers stands for them. Two moved fits show how far off the truth may be, and no
+    more: between bounds of ± a with nothing known inside the standard deviation is a/√3 (Guide to
+    the Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
     """
     found, q = reading.signals.chain.alignment, reading.spec.degree + 1
-    late_s = found.late_s if found.known else ACCURACY_S
-    moved = on_time(reading, fit, late_s), with_stored_gas(reading, fit)
+    by_flows = found.known and not found.early
+    late_s = found.late_s if by_flows else preferred_shift(reading, fit)
+    moved = read_later(reading, fit, late_s), with_stored_gas(reading, fit)
     logs = np.log([each.tau_s / fit.tau_s for each in moved])
     apart = np.array([(each.coefficients - fit.coefficients)[:q] for each in moved])
     open_ = Scatter(math.sqrt(float(logs @ logs) / 3.0), 0.0, apart.T @ apart / 3.0, len(moved))
-    return float(logs[0]), open_
+    return (late_s, float(logs[0])), open_
 
 
 def scatter_of(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:
@@ -193,8 +215,8 @@ class WholeRecordFit:
         Whether the scatter was estimated.
     probe_law : float
         How far log τ moves under a law of the probes without a jump at zero flow.
-    on_time : float
-        How far log τ moves without what plane 31 is late.
+    delay : tuple of float
+        By how much plane 31 is late, in seconds, and how far log τ moves without that.
     """
 
     reading: RecordReading
@@ -206,7 +228,7 @@ class WholeRecordFit:
     n_cycles: int
     estimated: bool
     probe_law: float = 0.0
-    on_time: float = 0.0
+    delay: tuple[float, float] = (0.0, 0.0)
 
     @property
     def tau_s(self) -> float:
@@ -278,7 +300,11 @@ class WholeRecordFit:
             return FitState.AT_SEARCH_END
         if not self.estimated:
             return FitState.CONVERGED
-        if self.reading.signals.chain.alignment.late and abs(self.on_time) > self.share:
+        alignment, (late_s, moved) = self.reading.signals.chain.alignment, self.delay
+        # What the model prefers is no shift by a single step.
+        step_s = max(DELAY_STEP_S, self.reading.passes.sample_period_s)
+        apart = alignment.late or (not alignment.on_time and abs(late_s) > 1.5 * step_s)
+        if apart and abs(moved) > self.share:
             return FitState.MISALIGNED
         if self.contradictions > 0.5 * self.n_cycles and self._hub_and_tip_explain_more:
             return FitState.STATES_PART
@@ -328,7 +354,7 @@ def fit_whole_record(
         twin, rng = reading.twin_under(fit), np.random.default_rng(0)
         for _ in progress(range(n_twins)):
             twins.append(reading.again(twin, rng, fit.tau_s).fit(near_s=fit.tau_s))
-    moved, planes = from_plane_to_plane(reading, fit)
+    delay, planes = from_plane_to_plane(reading, fit)
     return WholeRecordFit(
         reading,
         fit,
@@ -339,5 +365,5 @@ def fit_whole_record(
         n_cycles,
         True,
         law_of_probes(reading, fit),
-        moved,
+        delay,
     )

@@ -83,9 +83,9 @@ class FitState(StrEnum):
     )
     MISALIGNED = (
         "misaligned",
-        "By the flows of both planes plane 31 is recorded late or early against plane 25, which "
-        "moves the time constant by more than its standard deviation: a delay would be read as the "
-        "lag. Check that all channels share one clock.",
+        "Plane 31 is out of time with plane 25, as their flows show or as the record is explained "
+        "better, and that moves the time constant by more than its standard deviation: a delay "
+        "would be read as the lag. Check that all channels share one clock.",
     )
     STATES_PART = (
         "states_part",

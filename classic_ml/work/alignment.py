@@ -48,9 +48,23 @@ class Alignment:
         return math.isfinite(self.late_s)
 
     @property
+    def on_time(self) -> bool:
+        """Whether both planes are known to show their flow on one clock."""
+        return self.known and not (self.late or self.early)
+
+    @property
     def late(self) -> bool:
-        """Whether plane 31 is late or early by more than one clock allows, beyond chance."""
-        return abs(self.late_s) > max(ON_TIME_S, STANDARD_ERRORS * self.stderr_s)
+        """Whether plane 31 is later than one clock allows, beyond chance.
+
+        Early it may be without any clock: a surge comes out of the plenum, and where the duct
+        carries waves plane 31 reverses first.
+        """
+        return self.late_s > max(ON_TIME_S, STANDARD_ERRORS * self.stderr_s)
+
+    @property
+    def early(self) -> bool:
+        """Whether plane 31 is as early as only a long duct or another clock makes it."""
+        return -self.late_s > max(ON_TIME_S, STANDARD_ERRORS * self.stderr_s)
 
     @property
     def words(self) -> str:
@@ -62,8 +76,10 @@ class Alignment:
 
     def entry(self) -> LedgerEntry:
         """Return the step of the ledger that says so."""
-        flag = f"{self.words}: a delay is read as the lag; check that all channels share one clock"
-        return LedgerEntry("alignment", self.words, flags=(flag,) * self.late)
+        late = f"{self.words}: a delay is read as the lag; check that all channels share one clock"
+        early = f"{self.words}: waves in the duct make it so, or a clock, by which τ would read low"
+        flags = (late,) * self.late + (early,) * self.early
+        return LedgerEntry("alignment", self.words, flags=flags)
 
 
 def alignment_of(record: Record, test: TestDescription, window: slice) -> Alignment:

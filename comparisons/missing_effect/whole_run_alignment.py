@@ -55,7 +55,7 @@ class PlaneTiming:
             found,
             tuple(_as_late(by_name[name], found) for name in names if name in by_name),
             next((NO_NAME.format(NAMELESS[name]) for name in names if name not in by_name), ""),
-            (by_name[DELAY],) if found.known and not names and DELAY in by_name else (),
+            (by_name[DELAY],) if found.on_time and DELAY in by_name else (),
         )
 
     def named(self, bench: WholeRuns) -> Named:
@@ -90,7 +90,7 @@ class PlaneTiming:
 
 
 def _slow_names(found: Alignment) -> tuple[str, ...]:
-    """Return what can have made plane 31 late, or plane 25.
+    """Return what can have made plane 31 late.
 
     A lag of its pressures makes its flow late, too. The shape of its flow speaks against one, never
     for one: on machines drawn at random a shift explained none of 12 lags better, a lag 4 of 23
@@ -98,7 +98,7 @@ def _slow_names(found: Alignment) -> tuple[str, ...]:
     """
     if not found.late:
         return ()
-    if found.late_s < 0.0 or found.lag_z < -STANDARD_ERRORS:
+    if found.lag_z < -STANDARD_ERRORS:
         return (DELAY,)
     return DELAY, LAG
 
