@@ -104,7 +104,8 @@ class Chain:
         }
         parameters |= {f"area_{plane}_m2": area for plane, area in self.areas_m2.items()}
         parameters |= {f"{_MACHINE}{k}": v for k, v in self.compressor.model_dump().items()}
-        parameters |= {f"{_ALIGNMENT}{k}": v for k, v in asdict(self.alignment).items()}
+        if self.alignment.known:
+            parameters |= {f"{_ALIGNMENT}{k}": v for k, v in asdict(self.alignment).items()}
         for pair in self.pairs:
             parameters |= {f"{pair.name}.{what}": getattr(pair, what) for what in _OF_PAIR}
         did = (

@@ -23,7 +23,7 @@ STANDARD_ERRORS = 3.0
 DEGREE = 3
 # Each finds what the straight line of the one before left: 10 ms is a third of a blowdown.
 PASSES = 4
-BLOCKS = 10
+BLOCKS, FEWEST_ROWS = 10, 200
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,8 @@ class Alignment:
 
     def entry(self) -> LedgerEntry:
         """Return the step of the ledger that says so."""
+        if not self.known:
+            return LedgerEntry("alignment", "not known: the window is too short")
         late = f"{self.words}: a delay is read as the lag; check that all channels share one clock"
         early = f"{self.words}: waves in the duct make it so, or a clock, by which τ would read low"
         flags = (late,) * self.late + (early,) * self.early
@@ -91,7 +93,7 @@ def alignment_of(record: Record, test: TestDescription, window: slice) -> Alignm
         W31 + storage = g(W25(t − L)) ≈ g(W25) − L dg(W25)/dt,
 
     and around closed cycles no function of W25 goes with its derivative. No lag of ψ' enters. The
-    error is that over blocks left out in turn.
+    error is that over blocks left out in turn. Of a short window nothing is known.
 
     Parameters
     ----------
@@ -102,6 +104,8 @@ def alignment_of(record: Record, test: TestDescription, window: slice) -> Alignm
     window : slice
         Rows of the surge cycles.
     """
+    if window.stop - window.start < FEWEST_ROWS:
+        return Alignment()
     period_s, flow = record.sample_period_s, record["W25_kg_s"]
     # T31 is slow, and often out of its range: its reading near stall does as well.
     exit_K = np.full(flow.size, test.near_stall.temperature_K(31))
