@@ -150,7 +150,7 @@ def from_plane_to_plane(
     the Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
     """
     found, q = reading.signals.chain.alignment, reading.spec.degree + 1
-    by_flows = found.known and not found.early
+    by_flows = found.late or found.on_time
     late_s = found.late_s if by_flows else preferred_shift(reading, fit)
     moved = read_later(reading, fit, late_s), with_stored_gas(reading, fit)
     logs = np.log([each.tau_s / fit.tau_s for each in moved])
