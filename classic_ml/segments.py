@@ -307,11 +307,11 @@ def threshold_between(values: FloatArray) -> float:
 def _before_surge(record: Record, corrected_kg_s: FloatArray) -> float:
     """Return a flow that the machine passes unstalled before it surges; inf where no row shows it.
 
-    Of a hundred rows before the surge five pass less.
+    The median: the swings that lead into the surge may last longer than a twentieth of those rows.
     """
     reversal = first_reversal(record) or 0
     before = corrected_kg_s[: max(reversal - round(SHORTEST_S * record.sample_rate_hz), 0)]
-    return float(np.percentile(before, 5.0)) if before.size else math.inf
+    return float(np.median(before)) if before.size else math.inf
 
 
 def _dividing(flow: FloatArray, stalled: BoolArray, below: float) -> float:
@@ -365,10 +365,11 @@ def segment(
     labels, short = label_intervals(fitted, round(SHORTEST_S * record.sample_rate_hz))
     n_segments, n_scored = int(labels.max(initial=0)), int(np.count_nonzero(labels))
     if n_segments == 0:
+        below = f" below {threshold_lbm_s:.4g} lbm/s" if threshold_lbm_s is not None else ""
         raise InputError(
             f"{record.source}: segmentation",
             expected="in-stall intervals inside the window",
-            found="none",
+            found=f"none{below}",
             remedy="check the threshold and the window",
         )
     why = f"shorter than {SHORTEST_S * 1e3:g} ms"

@@ -108,6 +108,8 @@ class Fit:
         for r, (one, errors) in enumerate(zip(self.linearised(runs), self.errors, strict=True)):
             at = np.r_[np.arange(m), m + k * r + np.arange(k)]
             J, error = (metric.whitened(e[:rows]) for e in (one.to_numbers(which), errors))
+            # A number whose slope is none, as where a root begins at zero, stays where it is.
+            J[:, :, ~np.isfinite(J).all(axis=(0, 1))] = 0.0
             for part in np.array_split(np.arange(len(error)), blocks):
                 white, score = J[part].reshape(-1, at.size), np.zeros(pull.size)
                 normal[np.ix_(at, at)] += white.T @ white

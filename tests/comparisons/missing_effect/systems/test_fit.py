@@ -261,3 +261,24 @@ def test_parameters_that_only_show_as_a_product_have_no_small_error() -> None:
     stderr = np.sqrt(np.diag(covariance(fit, [run], raw_metric([run.outputs]))))
     assert fit.theta[3] * fit.theta[4] == pytest.approx(1.0, abs=0.01)
     assert stderr[3] > 0.3
+
+
+def test_a_number_without_a_slope_stays_and_the_others_are_fitted() -> None:
+    """A damped frequency whose ζ begins at 1: beyond it the root is no number."""
+    model = make.body(
+        params={"zeta": P(1.0, 0.1, 2.0), **make.body().params},
+        rhs=lambda t, x, u, p: (
+            x.speed,
+            (u.F - p.c * x.speed - p.k * x.at) / p.M + np.sqrt(1.0 - p.zeta**2),
+        ),
+    )
+    record = make.experiment("body", truth.body(5, N))
+    run = make.runs_on(model, [record])[0]
+    fit = make.fitted(Structure(model, (), "cubic", 1e-6, offsets_free=False), [run])
+    stderr = np.sqrt(np.diag(covariance(fit, [run], raw_metric([run.outputs]))))
+    assert fit.theta[0] == 1.0
+    assert np.isinf(stderr[0])
+    assert np.all(np.abs(fit.theta[1:4] - TRUE) < 4.0 * stderr[1:4])
+    diagnosis = diagnose_model(model, [record, make.experiment("body", truth.body(6, N))])
+    assert diagnosis.after.theta[0] == 1.0
+    assert not diagnosis.names
