@@ -221,6 +221,21 @@ def test_a_delay_beyond_what_an_offset_says_is_named() -> None:
     assert abs(item.parameters[0].value - 0.02) < 3.0 * item.parameters[0].stderr < 0.015
 
 
+def test_a_servo_of_second_order_is_no_firm_delay() -> None:
+    """Of 9 rad/s and ζ 0.5, in front of the oscillator; the nearest name is a delay of 0.12 s."""
+
+    def behind_servo(seed: int, n: int) -> Experiment:
+        rng = np.random.default_rng(seed)
+        asked = np.repeat(rng.uniform(-1.0, 1.0, n // 30), 30)
+        system = [324.0], np.polymul([1.0, 9.0, 81.0], [1.0, 0.8, 4.0])
+        y = lsim(system, np.repeat(asked, 10), np.arange(10 * n) * 0.002, interp=False)[1][::10]
+        y += 0.01 * np.std(y) * rng.standard_normal(n)
+        return Experiment(f"run {seed}", 0.02, {"u": asked, "y": y})
+
+    found = diagnose_model(LINEAR, *(behind_servo(seed, 1500) for seed in (1, 2)))
+    assert (firm(found), found.verdict == "nothing_missing") == ([], False)
+
+
 def plate(seed: int, n: int) -> Experiment:
     """400 T' = P − 0.25 T^1.3 every 5 s, in steps of 0.25 s; T is that above the room's."""
     rng = np.random.default_rng(seed)
