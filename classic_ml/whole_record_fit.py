@@ -150,7 +150,7 @@ def from_plane_to_plane(
     the Expression of Uncertainty in Measurement, JCGM 100:2008, 4.3.7).
     """
     found, q = reading.signals.chain.alignment, reading.spec.degree + 1
-    by_flows = found.late or found.on_time
+    by_flows = found.off_clock or found.on_time
     late_s = found.late_s if by_flows else preferred_shift(reading, fit)
     moved = read_later(reading, fit, late_s), with_stored_gas(reading, fit)
     logs = np.log([each.tau_s / fit.tau_s for each in moved])
@@ -303,7 +303,7 @@ class WholeRecordFit:
         alignment, (late_s, moved) = self.reading.signals.chain.alignment, self.delay
         # What the model prefers is no shift by a single step.
         step_s = max(DELAY_STEP_S, self.reading.passes.sample_period_s)
-        apart = alignment.late or (not alignment.on_time and abs(late_s) > 1.5 * step_s)
+        apart = alignment.off_clock or (not alignment.on_time and abs(late_s) > 1.5 * step_s)
         if apart and abs(moved) > self.share:
             return FitState.MISALIGNED
         if self.contradictions > 0.5 * self.n_cycles and self._hub_and_tip_explain_more:

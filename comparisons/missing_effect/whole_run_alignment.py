@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -36,7 +36,7 @@ class PlaneTiming:
     nameless : str
         What can, and has no name among the effects that compete; empty for nothing.
     refuted : tuple of Effect
-        What cannot be there, since plane 31 is on time.
+        What cannot be there to any size, since plane 31 is on time.
     """
 
     found: Alignment
@@ -47,9 +47,9 @@ class PlaneTiming:
     @classmethod
     def of(cls, each: Sequence[Alignment], effects: Sequence[Effect]) -> Self:
         """Hold the alignment of the records of a test against the effects that compete."""
-        values = np.array([(one.late_s, one.stderr_s, one.lag_z) for one in each])
-        late_s, stderr_s, lag_z = np.mean(values, axis=0).tolist()
-        found = Alignment(late_s, max(stderr_s, float(np.std(values[:, 0]))), lag_z)
+        values = np.array([astuple(one) for one in each])
+        late_s, stderr_s, *others = np.mean(values, axis=0).tolist()
+        found = Alignment(late_s, max(stderr_s, float(np.std(values[:, 0]))), *others)
         by_name, names = {effect.name: effect for effect in effects}, _slow_names(found)
         return cls(
             found,
@@ -73,11 +73,22 @@ class PlaneTiming:
         """Return an effect that is firm by the flows; of a delay they give the number, too."""
         numbers = item.parameters
         if item.effect == DELAY:
-            stderr = float(np.hypot(self.found.stderr_s, ACCURACY_S))
+            # By how much a wave made it early is between nothing and its time: a bound of ± a is a
+            # standard deviation of a/√3 (JCGM 100:2008, 4.3.7).
+            parts = self.found.stderr_s, ACCURACY_S, self.found.wave_s / np.sqrt(3.0)
+            stderr = float(np.linalg.norm(parts))
             numbers = (replace(numbers[0], value=self.found.late_s, stderr=stderr),)
         evidence = {**item.evidence, "late_by_flows_s": self.found.late_s}
         sure = replace(item, parameters=numbers, evidence=evidence, provisional=False, doubts=())
         return sure.doubted(self.nameless) if self.nameless else sure
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Say how much later than its flow plane 31 may be."""
+        found = self.found
+        least = f"By the flows of both planes plane 31 is late by {1e3 * found.late_s:.2f} ms"
+        more = f"a wave in the duct can hide up to {1e3 * found.wave_s:.2f} ms more"
+        return (f"{least} or more: {more}.",) if found.late else ()
 
     def untold(self, effects: Sequence[Effect]) -> tuple[Untold, ...]:
         """Return the effects about which records with a late plane decide nothing."""
@@ -85,8 +96,9 @@ class PlaneTiming:
 
     @property
     def absent(self) -> tuple[Absent, ...]:
-        """What would have been seen, and from which size on."""
-        return tuple(Absent(effect.name, "d", ON_TIME_S, "s") for effect in self.refuted)
+        """What would have been seen, and from which size on: of less a wave may hide all."""
+        least_s = ON_TIME_S + self.found.wave_s
+        return tuple(Absent(effect.name, "d", least_s, "s") for effect in self.refuted)
 
 
 def _slow_names(found: Alignment) -> tuple[str, ...]:

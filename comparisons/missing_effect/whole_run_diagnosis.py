@@ -142,6 +142,7 @@ def diagnose_whole_runs(
         diagnosis,
         verdict=verdict,
         missing=missing,
+        remarks=(*diagnosis.remarks, *timing.remarks),
         unavailable=unavailable,
         catalogue=tuple(catalogue),
         untold=untold,

@@ -60,7 +60,8 @@ class Metric:
         out = np.zeros_like(errors)
         if not errors.size:
             return out
-        read = self._read(~np.isnan(errors.reshape(*errors.shape[:2], -1)).all(axis=2))
+        columns = errors.reshape(*errors.shape[:2], -1)
+        read = self._read(np.asarray(np.any(~np.isnan(columns), axis=2)))
         for j, (sigma, ar, (rows, known)) in enumerate(zip(self.sigma, self.ar, read, strict=True)):
             own = errors[rows, j]
             white = own.copy()
