@@ -259,7 +259,7 @@ def inspect_file(
     path : str or path
         A raw record or a series of any format that there is a reader for.
     layout : FileLayout, optional
-        Group and clock; without it the clock is found by its name.
+        Group and clock; without it the clock is found by its name, or as it runs.
     group : str, optional
         Group to look into, without a layout.
 
@@ -307,7 +307,15 @@ def _clock_column(values: Mapping[str, FloatArray], layout: FileLayout | None) -
     if layout is not None:
         return layout.time if layout.time in values else None
     lower = {name: name.strip().lower() for name in values}
-    return next((n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES)), None)
+    named = [n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES)]
+    return next((name for name in (*named, *values) if name in named or _runs(values[name])), None)
+
+
+def _runs(values: FloatArray) -> bool:
+    """Return whether a column goes on in even steps, as a clock does, and is no count of rows."""
+    steps = np.diff(values)
+    least, largest = float(steps.min(initial=np.inf)), float(steps.max(initial=0.0))
+    return 0.0 < largest < GAP_STEPS * least and not bool(np.all(steps == 1.0))
 
 
 def _clock_unit(stored: StoredTable, clock: str | None, layout: FileLayout | None) -> str:

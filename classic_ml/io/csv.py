@@ -17,11 +17,12 @@ from classic_ml.io.table import NOT_FINITE_REMEDY, Columns, StoredTable
 from classic_ml.units import kind_of_unit
 from surge_core.errors import InputError
 
-SEPARATORS = (",", ";", "\t")
+SEPARATORS = (",", ";", "\t", "|")
 TRUTHS = ("true", "false")
 # Lines in which the decimal sign is looked for, and characters that hold them.
 LOOKED_AT, HEAD = 100, 1 << 20
 BLOCK_BYTES = 8 << 20
+_DATE_REMEDY = 'write seconds, or clock = "from rate" in [file] of test.toml'
 _BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
 
 
@@ -43,8 +44,8 @@ def open_csv(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open a CSV table of numbers, which pyarrow parses block by block.
 
     A second line that holds units is taken as such, and so is a unit in brackets at the end of a
-    name. Between the cells stand commas, semicolons or tabs; beside the latter two a comma may be
-    the decimal sign. Arguments as :func:`classic_ml.io.formats.open_stored` has them.
+    name. Between the cells stand commas, semicolons, tabs or bars; beside all but the first a comma
+    may be the decimal sign. Arguments as :func:`classic_ml.io.formats.open_stored` has them.
     """
     found = _layout_of(file)
     left_aside = dict.fromkeys(found.text, "text")
@@ -70,6 +71,10 @@ def _layout_of(file: Path) -> _Layout:
     if all(map(_is_number, names)):
         expected = "a table with a header and a column time_s"
         raise InputError(str(file), expected=expected, found="numbers in the first line")
+    numbers = lines[-1].split()
+    if len(names) == 1 < len(numbers) and all(map(_is_number, numbers)):
+        expected, found = "cells between commas, semicolons, tabs or bars", "spaces between numbers"
+        raise InputError(str(file), expected=expected, found=found)
     cells = [_cells(line, separator) for line in lines[1:]]
     labels = [_unit_in_brackets(name) for name in names]
     skipped = numbered[0][0] + 1
@@ -93,7 +98,10 @@ def _layout_of(file: Path) -> _Layout:
 
 def _text(file: Path) -> Any:
     # Loggers on Windows write the degree sign in their own code page.
-    return file.open(encoding="utf-8-sig", errors="replace", newline=None)
+    with file.open("rb") as stream:
+        is_utf8 = "\ufffd" not in stream.read(HEAD).decode("utf-8", "replace")[:-1]
+    encoding = "utf-8-sig" if is_utf8 else "cp1252"
+    return file.open(encoding=encoding, errors="replace", newline=None)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -127,6 +135,11 @@ def _number(cell: str, decimal: str) -> float | None:
         return float(cell.replace(decimal, "."))
     except ValueError:
         return None
+
+
+def _is_date(cell: str) -> bool:
+    """Return whether a cell is a date, or a time of the day."""
+    return re.match(r"\d+([-/.:])\d+\1\d+", cell) is not None
 
 
 def _blocks(file: Path, found: _Layout, names: tuple[str, ...]) -> Iterator[Columns]:
@@ -180,6 +193,10 @@ def _first_fault(file: Path, found: _Layout, names: tuple[str, ...]) -> InputErr
                         f"{file}: column {name}",
                         expected="0 or 1" if flag else "a finite number in every row",
                         found=f"{cell!r} in row {row}" if cell else f"an empty cell in row {row}",
-                        remedy="write 0 or 1 in every row" if flag else NOT_FINITE_REMEDY,
+                        remedy="write 0 or 1 in every row"
+                        if flag
+                        else _DATE_REMEDY
+                        if _is_date(cell)
+                        else NOT_FINITE_REMEDY,
                     )
     return None

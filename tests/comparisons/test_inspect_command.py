@@ -129,7 +129,7 @@ def test_the_part_of_a_long_record_that_surges_is_found(
     time_s = np.arange(80_000) / 1000.0
     surging = (time_s > 60.0) & (time_s < 70.0) & ~((time_s > 64.0) & (time_s < 65.0))
     swing = surging * np.sin(2.0 * np.pi * 7.0 * time_s)
-    columns = {"time_s": time_s, "throttle": np.full(time_s.size, 31.5)}
+    columns = {"Zeit": time_s, "throttle": np.full(time_s.size, 31.5)}
     for number in range(6):
         noise = 0.02 * rng.standard_normal(time_s.size)
         columns[f"P{number}"] = 14.7 + 0.001 * time_s + noise + (1.0 + 0.1 * number) * swing

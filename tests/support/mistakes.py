@@ -134,6 +134,9 @@ RAW_FILES = (
     ),
     harmless("raw-bom", as_bytes(lambda data: b"\xef\xbb\xbf" + data)),
     harmless("raw-spreadsheet", as_text(decimal_commas)),
+    harmless("raw-bars", as_text(lambda text: text.replace(",", "|"))),
+    refused("raw-spaces", "raw.csv|commas|spaces", as_text(lambda text: text.replace(",", "  "))),
+    refused("clock-dates", "raw.csv|time_s|from rate", cell("time_s", 0, "2026-01-02 10:00:00")),
     refused(
         "raw-decimal-commas",
         "raw.csv|values in every row|row 1",
