@@ -23,6 +23,8 @@ M = TypeVar("M", bound=BaseModel)
 LONGEST_VALUE = 60
 # Of places with one and the same mistake so many are named.
 MOST_PLACES = 8
+# What a key of a type holds.
+KINDS = {float: "a number", int: "a whole number", str: "a text"}
 PLAIN = {
     "a valid number": "a number",
     "a valid integer": "a whole number",
@@ -124,6 +126,8 @@ def _mistake(error: Mapping[str, Any], model: type[BaseModel], data: Any) -> _Mi
         table: Any = field and field.annotation
         if [table] == _models_in(table):
             expected = f"a table with {', '.join(_own(table))}"
+        elif table in KINDS and expected == "a value":
+            expected = KINDS[table]
         return _Mistake(at, expected, "nothing", "")
     extra = field.json_schema_extra if field else None
     remedy = str(extra.get("remedy", "")) if isinstance(extra, dict) else ""

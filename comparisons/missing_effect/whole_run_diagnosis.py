@@ -45,7 +45,10 @@ LEAST_LOSS = 1e-5
 LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
 NO_TWINS = "no twins of the record were measured"
-NO_MEASURE = "twins of these records, measured or not, are no measure of it"
+NO_MEASURE = (
+    "the model leaves more than twice as much of these records as of their twins, which are no "
+    "measure of chance then"
+)
 # Twice a wrong ∫dx/A was firm at 2.5 and 2.8, on machines whose twins lack a part of their errors.
 FIRM_Z = 3.0
 # A name that closes less of the gap between the model and its twins leaves more than it explains,

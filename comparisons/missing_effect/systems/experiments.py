@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -65,9 +67,13 @@ class Experiment:
     skipped: int = 0
 
     def __post_init__(self) -> None:
-        period_s = self.sample_period_s
-        good = bool(np.isfinite(period_s) and period_s > 0.0)
-        self.require(good, "sample period", "a positive number of seconds", f"{period_s!r}")
+        period_s: Any = self.sample_period_s
+        number, channels = isinstance(period_s, Real), type(self.channels)
+        found = repr(period_s) if number else type(period_s).__name__
+        good = number and bool(np.isfinite(period_s) and period_s > 0.0)
+        self.require(good, "sample period", "a positive number of seconds", found)
+        mapping = issubclass(channels, Mapping)
+        self.require(mapping, "channels", "a mapping of names to values", channels.__name__)
         made: dict[str, FloatArray] = {}
         for name, given in self.channels.items():
             made[name] = values = np.ascontiguousarray(given, dtype=np.float64)

@@ -88,7 +88,7 @@ def channels(n: int = 60) -> dict[str, Any]:
 
 
 BAD_RECORDS: dict[str, tuple[Callable[[], object], str]] = {
-    "no period": (lambda: Experiment("a", 0.0, channels()), "a: sample period: .*positive.*0.0"),
+    "no period": (lambda: Experiment("a", channels(), 0.1), "a: sample period: .*positive.*dict"),
     "a gap in an input": (
         lambda: Experiment("a", 1.0, {**channels(), "F": np.r_[0.0, np.nan, np.arange(58.0)]}).of(
             Model(**GOOD)
