@@ -18,6 +18,7 @@ from types import ModuleType
 import numpy as np
 
 import classic_ml.whole_record_fit as estimate
+from classic_ml import segments
 from classic_ml.io.raw import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.whole_record import branches, passes, stall_state
@@ -27,7 +28,8 @@ from comparisons.rig import simulate, write_run
 CONSTANTS: dict[ModuleType, str] = {
     branches: "AVERAGE_PERIODS LONGEST_AVERAGE_S START_S LOSS_AVERAGE_S HIGHER_HINGE",
     passes: "BEFORE_OVERLOAD_S AFTER_OVERLOAD_S SHORTEST_PIECE_S END_S LONGEST_QUIET_S "
-    "QUIET_KEPT_S SHORTEST_STATE_S SPEED_AVERAGE_S LOWEST_HZ PIECE_S REACH_PERIODS RIDGE",
+    "QUIET_KEPT_S SHORTEST_STATE_S SPEED_AVERAGE_S PIECE_S REACH_PERIODS RIDGE",
+    segments: "LOWEST_CELL_SHARE",
     stall_state: "REARMED_SHARE LEVEL_AVERAGE_S SLOPE_AVERAGE_S LOWEST_RECOVERY LOWEST_ENTRY "
     "PEAK_S INDEPENDENT_S",
 }

@@ -306,7 +306,7 @@ def _with_coefficients(
         # What the mass balance averages over where no filter takes the cells out.
         period_s = None
         if settings.phase == "none":
-            period_s = 1.0 / cell_frequency_hz(unfiltered, window)
+            period_s = 1.0 / cell_frequency_hz(unfiltered, window, test.rotor_speed_rpm)
         record = with_work(record, test, settings.work_form, period_s)
     else:
         dropped = Dropped("ψ", record.n_samples, "no T31 that counts, so no W31")
@@ -325,7 +325,7 @@ def _with_states(
 ) -> Record:
     """Add the stall state, the segments to be fitted and the rows of the free run."""
     rows, found = window.rows, window.entry.parameters["origin"] == "found"
-    period_s, has_cells = cell_period_s(unfiltered, rows)
+    period_s, has_cells = cell_period_s(unfiltered, rows, test.rotor_speed_rpm)
     # A record that continues another does not hold the reading near stall.
     unstalled = slice(0) if test.near_stall_shifts else near_stall_rows(record, test)
     stalled = hub_tip_stall(unfiltered, rows, 1.0 / period_s, unstalled)

@@ -135,8 +135,9 @@ def _inside(part: slice, n_rows: int) -> BoolArray:
     return inside
 
 
-# Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
-LOWEST_CELL_HZ = 40.0
+# Of the rotor's frequency: stall cells turn at 0.2 to 0.7 of it (Greitzer 1980, Journal of Fluids
+# Engineering 102, 134), surge and its harmonics are below.
+LOWEST_CELL_SHARE = 0.2
 # What two rakes read differently at plane 25.
 RAKE_DIFFERENCE = "P25_rake_difference_Pa"
 # A line of rotating stall stands at least this far above the spectrum around it.
@@ -188,30 +189,35 @@ def in_stall_by_threshold(
     return np.asarray(stalled)
 
 
-def cell_frequency_hz(record: Record, window: slice) -> float:
+def lowest_cell_hz(rotor_speed_rpm: float) -> float:
+    """Return the frequency above which stall cells pass a rake."""
+    return LOWEST_CELL_SHARE * rotor_speed_rpm / 60.0
+
+
+def cell_frequency_hz(record: Record, window: slice, rotor_speed_rpm: float) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
     Where two rakes were read the spectrum is that of their difference, if a line stands out there.
     """
-    return _cell_line(record, window)[0]
+    return _cell_line(record, window, rotor_speed_rpm)[0]
 
 
-def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
+def cell_period_s(record: Record, window: slice, rotor_speed_rpm: float) -> tuple[float, bool]:
     """Return the period of the stall cells, and whether that spectrum shows any."""
-    cell_hz, above = _cell_line(record, window)
+    cell_hz, above = _cell_line(record, window, rotor_speed_rpm)
     return (1.0 / cell_hz, True) if above >= LEAST_PEAK else (PLAIN_PERIOD_S, False)
 
 
-def _cell_line(record: Record, window: slice) -> tuple[float, float]:
+def _cell_line(record: Record, window: slice, rotor_speed_rpm: float) -> tuple[float, float]:
     """Return the highest line above surge in Hz, and how far it stands above what is around it."""
     # A resonance of the ducts is alike at both rakes, and higher than the cells in their mean; in
     # the mean of opposite rakes one cell cancels (its line: 29 000 times what is around it in the
     # difference, 13 in the mean).
-    rate, line = record.sample_rate_hz, (math.nan, 0.0)
+    rate, line, lowest_hz = record.sample_rate_hz, (math.nan, 0.0), lowest_cell_hz(rotor_speed_rpm)
     for name in (RAKE_DIFFERENCE, "P25_unfiltered_Pa"):
         if name in record and np.ptp(record[name][window]) > 0.0 and line[1] < LEAST_PEAK:
             frequency, density = power_spectrum(record[name][window], rate)
-            cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
+            cell_hz = peak_frequency_hz(frequency, density, lowest_hz, 0.4 * rate)
             around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
             peak = density[np.argmin(np.abs(frequency - cell_hz))]
             line = cell_hz, float(peak / np.median(around))

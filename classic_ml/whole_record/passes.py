@@ -15,15 +15,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from classic_ml.filters import period_average
-from classic_ml.segments import PLAIN_PERIOD_S, near, stall_by_shift
+from classic_ml.segments import PLAIN_PERIOD_S, lowest_cell_hz, near, stall_by_shift
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
 from surge_core.segments import intervals_where, runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-# A cell passes the rakes some ten to some two hundred times a second; the upper end is where the
-# sampled line still has ten samples in four periods.
-LOWEST_HZ, HIGHEST_SHARE = 30.0, 0.4
+# Of the sample rate: there the sampled line still has ten samples in four periods.
+HIGHEST_SHARE = 0.4
 PIECE_S = 0.5
 # Taps of half a period and a little more to either side reach every phase of the cell.
 REACH_PERIODS = 0.6
@@ -51,7 +50,8 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
             power = power + density * piece.size
     if isinstance(power, float):
         return None
-    inside = np.flatnonzero((frequency > LOWEST_HZ) & (frequency < HIGHEST_SHARE * rate_hz))
+    lowest_hz = lowest_cell_hz(signals.chain.rotor_speed_rpm)
+    inside = np.flatnonzero((frequency > lowest_hz) & (frequency < HIGHEST_SHARE * rate_hz))
     top = inside[np.argmax(power[inside])]
     before, peak, after = power[top - 1 : top + 2]
     # The summit of the parabola through the three highest values.

@@ -288,7 +288,7 @@ def _setup(
 ) -> _Setup:
     inside = np.flatnonzero(window)
     rows = slice(int(inside[0]), int(inside[-1]) + 1)
-    cell_hz = cell_frequency_hz(record, rows)
+    cell_hz = cell_frequency_hz(record, rows, test.rotor_speed_rpm)
     stalled = hub_tip_stall(record, rows, cell_hz, slice(0))
     if stalled is None:
         raise InputError(

@@ -259,7 +259,7 @@ def test_every_row_left_out_of_the_free_run_is_named_once() -> None:
     record, phi, stalled = made_record(0, cells=8.0, shift=4.0)
     record = record.after(LedgerEntry("phi", "unfiltered"), add=[Channel("phi", phi, "1")])
     window = slice(0, N_ROWS)
-    period_s, has_cells = cell_period_s(record, window)
+    period_s, has_cells = cell_period_s(record, window, 12_000.0)
     assert has_cells
     assert period_s == pytest.approx(PERIOD_S, rel=0.01)
     state = hub_tip_stall(record, window, 1.0 / period_s, slice(0))
