@@ -120,15 +120,16 @@ def diagnose_whole_runs(
     diagnosis = _with_shared(diagnosis, nulls)
     # Twins lack the first effect, so that they are no null of a second beside it.
     missing = tuple(
-        timing.judged(item)
-        if timing.found.late
-        else item
-        if item.provisional
-        or not (
-            why := _doubt(i, sets[item.effect], base)
-            or _nameless(sets[item.effect], base, catalogue)
+        timing.judged(
+            item
+            if timing.found.late
+            or item.provisional
+            or not (
+                why := _doubt(i, sets[item.effect], base)
+                or _nameless(sets[item.effect], base, catalogue)
+            )
+            else item.doubted(why)
         )
-        else item.doubted(why)
         for i, item in enumerate(diagnosis.missing)
     )
     verdict = verdict_of(missing, diagnosis.verdict) if timing.slow else diagnosis.verdict

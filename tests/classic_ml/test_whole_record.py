@@ -329,7 +329,7 @@ def test_one_immersion_states_no_time_constant() -> None:
 @pytest.mark.parametrize("rows", [-5, 0, 3, 8])
 @pytest.mark.parametrize("case", ["985", "90"])
 def test_a_late_plane_shows_in_its_flow_and_withholds(case: str, rows: int) -> None:
-    """Whatever τ is: no lag of ψ' is in the flows."""
+    """Whatever τ is: no lag of ψ' is in the flows. A wave takes 2.9 ms: 5 are another clock."""
     raw, test = rig_record(case, 72)
     late = [channel for channel in raw.channels if channel.startswith("P31")]
     at = np.clip(np.arange(raw.n_samples) - rows, 0, raw.n_samples - 1)
@@ -340,7 +340,6 @@ def test_a_late_plane_shows_in_its_flow_and_withholds(case: str, rows: int) -> N
     assert isinstance(fit, WholeRecordRun)
     alignment = fit.fits_[0].reading.signals.chain.alignment
     assert alignment.late_s == pytest.approx(rows * PERIOD_S, abs=ON_TIME_S)
-    # A wave takes 2.9 ms through the duct: five rows early is another clock.
     assert alignment.off_clock is bool(rows)
     assert (fit.fit_state_ is FitState.MISALIGNED) is bool(rows)
     withheld = np.isnan([fit.time_constant_s_, fit.time_constant_stderr_s_])

@@ -117,17 +117,18 @@ def test_a_second_pattern_of_cells_is_found_at_its_frequency() -> None:
     assert tau_error_ms(d.tau_after_s) < 3.0
 
 
-def test_of_a_delay_waves_hide_no_more_than_its_error_says(tmp_path: Path) -> None:
-    """Plane 31 reverses before plane 25 on this rig; 5 ms late it seems 2 ms late."""
-    draw_record(901, tmp_path)
+def test_waves_hide_some_of_a_delay_and_make_no_firm_lag(tmp_path: Path) -> None:
+    """Plane 31 reverses 3 ms before plane 25 on this machine; 5 ms late it seems 2 ms late."""
+    draw_record(153584210, tmp_path)
     raw, test = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml")
+    found = diagnose([reduce_record(raw, test).series], n_twins=N_TWINS)
+    assert ("second_order_lag", True) in [(i.effect, i.provisional) for i in found.missing]
     at = np.maximum(np.arange(raw.n_samples) - round(0.005 * raw.sample_rate_hz), 0)
     moved = [replace(raw.channel(n), values=raw[n][at]) for n in raw.channels if n[:3] == "P31"]
     late = raw.without([channel.name for channel in moved]).after(raw.history[-1], add=moved)
-    (delay, *_) = diagnose([reduce_record(late, test).series], n_twins=0).missing
+    delay, *_ = diagnose([reduce_record(late, test).series], n_twins=0).missing
     assert (delay.effect, delay.provisional) == ("transport_delay", False)
-    (d,) = delay.parameters
-    assert 0.5 * d.stderr < 0.005 - d.value < 2.0 * d.stderr
+    assert 0.5 < (0.005 - delay.parameters[0].value) / delay.parameters[0].stderr < 2.0
 
 
 @pytest.mark.parametrize("seed", [700, 723])
