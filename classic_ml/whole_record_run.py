@@ -88,7 +88,8 @@ class WholeRecordRun(WholeRunFit):
         """What the interval lacks, and what τ hangs on beside the record."""
         found = [self.left_open_] if self.left_open_ else []
         if self.fit_state_ is FitState.MISALIGNED:
-            found += [fit.reading.signals.chain.alignment.words for fit in self.fits_]
+            shown = [fit.reading.signals.chain.alignment for fit in self.fits_]
+            found += [alignment.words for alignment in shown if alignment.known]
         if not all(fit.twins.n for fit in self.fits_):
             found.append(
                 "no twins were measured: the interval of τ lacks the errors of calibration and of "

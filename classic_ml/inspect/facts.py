@@ -308,12 +308,13 @@ def _clock_column(values: Mapping[str, FloatArray], layout: FileLayout | None) -
         return layout.time if layout.time in values else None
     lower = {name: name.strip().lower() for name in values}
     named = [n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES)]
-    return next((name for name in (*named, *values) if name in named or _runs(values[name])), None)
+    return named[0] if named else next((n for n, v in values.items() if _runs(v)), None)
 
 
 def _runs(values: FloatArray) -> bool:
     """Return whether a column goes on in even steps, as a clock does, and is no count of rows."""
-    steps = np.diff(values)
+    with np.errstate(invalid="ignore"):
+        steps = np.diff(values)
     least, largest = float(steps.min(initial=np.inf)), float(steps.max(initial=0.0))
     return 0.0 < largest < GAP_STEPS * least and not bool(np.all(steps == 1.0))
 
