@@ -138,6 +138,8 @@ def _inside(part: slice, n_rows: int) -> BoolArray:
 # Of the rotor's frequency: stall cells turn at 0.2 to 0.7 of it (Greitzer 1980, Journal of Fluids
 # Engineering 102, 134), surge and its harmonics are below.
 LOWEST_CELL_SHARE = 0.2
+# Of the sample rate: there the sampled line still has ten samples in four periods.
+HIGHEST_SHARE = 0.4
 # What two rakes read differently at plane 25.
 RAKE_DIFFERENCE = "P25_rake_difference_Pa"
 # A line of rotating stall stands at least this far above the spectrum around it.
@@ -217,7 +219,7 @@ def _cell_line(record: Record, window: slice, rotor_speed_rpm: float) -> tuple[f
     for name in (RAKE_DIFFERENCE, "P25_unfiltered_Pa"):
         if name in record and np.ptp(record[name][window]) > 0.0 and line[1] < LEAST_PEAK:
             frequency, density = power_spectrum(record[name][window], rate)
-            cell_hz = peak_frequency_hz(frequency, density, lowest_hz, 0.4 * rate)
+            cell_hz = peak_frequency_hz(frequency, density, lowest_hz, HIGHEST_SHARE * rate)
             around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
             peak = density[np.argmin(np.abs(frequency - cell_hz))]
             line = cell_hz, float(peak / np.median(around))

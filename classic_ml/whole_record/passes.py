@@ -15,14 +15,18 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from classic_ml.filters import period_average
-from classic_ml.segments import PLAIN_PERIOD_S, lowest_cell_hz, near, stall_by_shift
+from classic_ml.segments import (
+    HIGHEST_SHARE,
+    PLAIN_PERIOD_S,
+    lowest_cell_hz,
+    near,
+    stall_by_shift,
+)
 from classic_ml.whole_record.rakes import Planes, RakeSignals
 from surge_core.errors import InputError
 from surge_core.segments import intervals_where, runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-# Of the sample rate: there the sampled line still has ten samples in four periods.
-HIGHEST_SHARE = 0.4
 PIECE_S = 0.5
 # Taps of half a period and a little more to either side reach every phase of the cell.
 REACH_PERIODS = 0.6

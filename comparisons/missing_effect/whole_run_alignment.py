@@ -16,7 +16,7 @@ from comparisons.missing_effect.results import Absent, MissingEffect, Untold
 from comparisons.missing_effect.whole_runs import WholeRuns
 
 DELAY, LAG = "transport_delay", "second_order_lag"
-EARLY_PLANE = "plane 31 is early, as waves make it, and what they leave may be read as a lag"
+EARLY_PLANE = "plane 31 is early, by waves or a clock, and what that leaves may be read as a lag"
 LATE_PLANE = "what a late plane leaves takes other names"
 WITHOUT_DELAY = "the same records with plane 31 on the clock of plane 25"
 NO_NAME = "by the flows plane 31 is late, {} would do as well, and has no name in the catalogue"
